@@ -1,10 +1,18 @@
-"""Timed poses."""
+"""Timed poses: TUM text in and out, association of two clocks, rigid alignment."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
+import torch
 from torch import Tensor
+
+from .errors import IdRgbdoError
+
+TUM_HEADER = "# timestamp tx ty tz qx qy qz qw (camera to world, seconds and metres)\n"
 
 
 @dataclass(frozen=True)
@@ -13,3 +21,161 @@ class Trajectory:
 
     timestamps: Tensor  # (N,) float64 seconds, increasing
     T_world_cam: Tensor  # (N, 4, 4) float64
+
+    def __post_init__(self) -> None:
+        times, poses = self.timestamps, self.T_world_cam
+        if times.dtype != torch.float64 or times.dim() != 1:
+            raise IdRgbdoError(
+                f"timestamps: expected (N,) float64, got {tuple(times.shape)} {times.dtype}; convert them"
+            )
+        if poses.dtype != torch.float64 or tuple(poses.shape) != (len(times), 4, 4):
+            raise IdRgbdoError(
+                f"T_world_cam: expected ({len(times)}, 4, 4) float64, one pose a timestamp, "
+                f"got {tuple(poses.shape)} {poses.dtype}; convert them"
+            )
+        if bool((times[1:] <= times[:-1]).any()):
+            raise IdRgbdoError("timestamps: expected increasing times, got a step back or a repeated time; sort them")
+
+    def __len__(self) -> int:
+        return len(self.timestamps)
+
+    @property
+    def positions(self) -> Tensor:
+        """(N, 3) float64 camera centres in the world, m."""
+        return self.T_world_cam[:, :3, 3]
+
+    def path_length_m(self) -> float:
+        """Sum of the distances between neighbouring positions, m."""
+        return float(self.positions.diff(dim=0).norm(dim=1).sum())
+
+    def at(self, indices: Tensor) -> Trajectory:
+        """The poses at (M,) increasing indices (or a boolean mask)."""
+        return Trajectory(self.timestamps[indices], self.T_world_cam[indices])
+
+
+def rotation_from_quaternion(quaternion: Tensor) -> Tensor:
+    """(..., 3, 3) rotation of (..., 4) quaternions x, y, z, w of any length but zero."""
+    x, y, z, w = (quaternion / quaternion.norm(dim=-1, keepdim=True)).unbind(-1)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+    return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)  # (..., 3, 3)
+
+
+def quaternion_from_rotation(R: Tensor) -> Tensor:
+    """(..., 4) unit quaternion x, y, z, w with w >= 0 of (..., 3, 3) rotations, accurate at every angle.
+
+    The symmetric matrix q q^T has a column for each component; the one with the largest diagonal is safe to divide by.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (row.unbind(-1) for row in R.unbind(-2))
+    outer = (  # 4 q q^T, order x, y, z, w
+        (1 + xx - yy - zz, xy + yx, xz + zx, zy - yz),
+        (xy + yx, 1 - xx + yy - zz, yz + zy, xz - zx),
+        (xz + zx, yz + zy, 1 - xx - yy + zz, yx - xy),
+        (zy - yz, xz - zx, yx - xy, 1 + xx + yy + zz),
+    )
+    rows = torch.stack([torch.stack(row, dim=-1) for row in outer], dim=-2)  # (..., 4, 4)
+    largest = rows.diagonal(dim1=-2, dim2=-1).argmax(dim=-1)[..., None, None].expand(*R.shape[:-2], 1, 4)
+    quaternion = rows.gather(-2, largest)[..., 0, :]
+    quaternion = quaternion / quaternion.norm(dim=-1, keepdim=True)
+    return torch.where(quaternion[..., 3:] < 0, -quaternion, quaternion)
+
+
+def tum_line(timestamp: float, T_world_cam: Tensor) -> str:
+    """One line of a TUM trajectory file: `timestamp tx ty tz qx qy qz qw`, with its line feed."""
+    numbers = T_world_cam[:3, 3].tolist() + quaternion_from_rotation(T_world_cam[:3, :3]).tolist()
+    return f"{timestamp:.6f} " + " ".join(f"{number:.9f}" for number in numbers) + "\n"
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write a trajectory as TUM text."""
+    poses = zip(trajectory.timestamps.tolist(), trajectory.T_world_cam, strict=True)
+    path.write_text(TUM_HEADER + "".join(tum_line(time, pose) for time, pose in poses), encoding="utf-8")
+
+
+def read_tum(path: Path) -> Trajectory:
+    """Read TUM text: `timestamp tx ty tz qx qy qz qw` a line, # for comments, commas and tabs as good as blanks.
+
+    Like the TUM tools it sorts by time, keeps the last of equal times, and leaves out poses that are marked invalid
+    (a zero quaternion or a NaN).
+    Raises IdRgbdoError with file and line for anything else that is not eight numbers with a unit quaternion.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise IdRgbdoError(f"trajectory: cannot read '{path}': {error}; pass a text file in TUM format") from error
+    poses: dict[float, list[float]] = {}
+    for number, line in enumerate(text.splitlines(), start=1):
+        row = _tum_row(line, f"{path}, line {number}")
+        if row is not None:
+            poses[row[0]] = row[1:]
+    if not poses:
+        raise IdRgbdoError(f"trajectory: '{path}' holds no pose; expected lines `timestamp tx ty tz qx qy qz qw`")
+    times = sorted(poses)
+    rows = torch.tensor([poses[time] for time in times], dtype=torch.float64)  # (N, 7)
+    T_world_cam = torch.eye(4, dtype=torch.float64).repeat(len(times), 1, 1)
+    T_world_cam[:, :3, 3] = rows[:, :3]
+    T_world_cam[:, :3, :3] = rotation_from_quaternion(rows[:, 3:])
+    return Trajectory(torch.tensor(times, dtype=torch.float64), T_world_cam)
+
+
+def _tum_row(line: str, where: str) -> list[float] | None:
+    """The eight numbers of a line; None for a comment, an empty line or a pose marked invalid."""
+    fields = line.replace(",", " ").split()
+    if not fields or fields[0].startswith("#"):
+        return None
+    try:
+        row = [float(field) for field in fields]
+    except ValueError as error:
+        raise IdRgbdoError(f"{where}: expected eight numbers, got '{line.strip()}'; correct the line") from error
+    if len(row) != 8:
+        raise IdRgbdoError(
+            f"{where}: expected `timestamp tx ty tz qx qy qz qw`, got {len(row)} numbers; correct the line"
+        )
+    length = math.hypot(*row[4:])
+    if length == 0 or any(math.isnan(value) for value in row):
+        return None
+    if not all(math.isfinite(value) for value in row) or abs(length - 1) > 0.05:
+        raise IdRgbdoError(
+            f"{where}: expected finite numbers and a unit quaternion, got length {length:.3g}; correct it"
+        )
+    return row
+
+
+def associate(times_a: Tensor, times_b: Tensor, max_difference: float = 0.02) -> tuple[Tensor, Tensor]:
+    """Indices (into a, into b) of the pairs whose times are nearest, each index used once, in a's order.
+
+    times_a, times_b: (N,), (M,) float64 increasing seconds. Pairs further apart than max_difference (s) are not made.
+    Greedy from the closest pair on, as in the TUM tools.
+    """
+    a, b = times_a.numpy(), times_b.numpy()
+    first = np.searchsorted(b, a - max_difference, side="left")
+    last = np.searchsorted(b, a + max_difference, side="right")
+    candidates = [(abs(a[i] - b[j]), i, j) for i in range(len(a)) for j in range(first[i], last[i])]
+    partner: dict[int, int] = {}
+    taken: set[int] = set()
+    for _, i, j in sorted(candidates):
+        if i not in partner and j not in taken:
+            partner[i] = j
+            taken.add(j)
+    pairs = torch.tensor(sorted(partner.items()), dtype=torch.int64).reshape(-1, 2)
+    return pairs[:, 0], pairs[:, 1]
+
+
+def align(source: Tensor, target: Tensor) -> Tensor:
+    """(4, 4) rigid T_target_source that minimises sum |target - T source|^2 over (N, 3) points; no scale.
+
+    Horn 1987, Umeyama 1991: rotation from the singular vectors of the covariance, a reflection turned back.
+    """
+    centre_source, centre_target = source.mean(dim=0), target.mean(dim=0)
+    covariance = (target - centre_target).T @ (source - centre_source)  # (3, 3)
+    U, _, Vh = torch.linalg.svd(covariance)
+    sign = torch.ones(3, dtype=source.dtype)
+    sign[2] = torch.linalg.det(U) * torch.linalg.det(Vh)
+    R = U @ torch.diag(sign) @ Vh
+    T_target_source = torch.eye(4, dtype=source.dtype)
+    T_target_source[:3, :3] = R
+    T_target_source[:3, 3] = centre_target - R @ centre_source
+    return T_target_source
