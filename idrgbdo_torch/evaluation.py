@@ -10,7 +10,7 @@ from torch import Tensor
 
 from .errors import IdRgbdoError
 from .se3 import inverse
-from .trajectory import Trajectory, align, associate
+from .trajectory import Trajectory, align, associate, nearest
 
 ASSOCIATION_LIMIT_S = 0.02
 
@@ -120,11 +120,11 @@ def absolute_error(
 
 
 def relative_error(estimate: Trajectory, reference: Trajectory, delta_s: float = 1.0) -> RelativeError | None:
-    """RPE as the TUM tool's evaluate_rpe.py gives it with fixed_delta: every estimated pose is paired with the one nearest
-    to delta_s later, and each pair's motion compared with that of the reference poses nearest in time.
+    """RPE as the TUM tool's evaluate_rpe.py gives it with fixed_delta: every estimated pose is paired with the one
+    nearest to delta_s later, and each pair's motion compared with that of the reference poses nearest in time.
 
-    As there, pairs that end at the last pose are left out, and so are pairs whose reference poses are further than two median
-    intervals away. None where nothing is left (an estimate shorter than delta_s).
+    As there, pairs that end at the last pose are left out, and so are pairs whose reference poses are further than two
+    median intervals away. None where nothing is left (an estimate shorter than delta_s).
     """
     times = estimate.timestamps
     begin = torch.arange(len(times))
@@ -133,7 +133,7 @@ def relative_error(estimate: Trajectory, reference: Trajectory, delta_s: float =
     begin, end = begin[inside], end[inside]
     if len(reference) < 2 or len(begin) == 0:
         return None
-    limit = 2 * float(_median(reference.timestamps.diff()))
+    limit = 2 * float(reference.timestamps.diff().quantile(0.5))
     reference_begin, reference_end = (
         nearest(reference.timestamps, times[begin]),
         nearest(reference.timestamps, times[end]),
@@ -173,22 +173,10 @@ def keyframe_error(
     return KeyframeError(times[close], _translation_error(T_kf_f_estimated, T_kf_f_true))
 
 
-def nearest(sorted_times: Tensor, times: Tensor) -> Tensor:
-    """(N,) index of the entry of sorted_times (M,) nearest to each of times (N,), the earlier one of two equally near."""
-    right = torch.searchsorted(sorted_times, times).clamp(max=len(sorted_times) - 1)
-    left = (right - 1).clamp(min=0)
-    take_left = (times - sorted_times[left]).abs() <= (sorted_times[right] - times).abs()
-    return torch.where(take_left, left, right)
-
-
 def _translation_error(T_estimated: Tensor, T_true: Tensor) -> Tensor:
     """(N,) m, length of the translation between two (N, 4, 4) motions."""
-    return (inverse(T_estimated) @ T_true)[:, :3, 3].norm(dim=1)
-
-
-def _median(values: Tensor) -> Tensor:
-    """The median with the mean of the two middle values for even counts, as numpy has it."""
-    return values.quantile(0.5)
+    T_error = inverse(T_estimated) @ T_true  # (N, 4, 4)
+    return T_error[:, :3, 3].square().sum(dim=1).sqrt()
 
 
 def _rmse(errors: Tensor) -> float:

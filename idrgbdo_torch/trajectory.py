@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -145,23 +144,43 @@ def _tum_row(line: str, where: str) -> list[float] | None:
 
 
 def associate(times_a: Tensor, times_b: Tensor, max_difference: float = 0.02) -> tuple[Tensor, Tensor]:
-    """Indices (into a, into b) of the pairs whose times are nearest, each index used once, in a's order.
+    """Indices (into a, into b) that pair two clocks: as many pairs as possible, then the least sum of differences.
 
-    times_a, times_b: (N,), (M,) float64 increasing seconds. Pairs further apart than max_difference (s) are not made.
-    Greedy from the closest pair on, as in the TUM tools.
+    times_a, times_b: (N,), (M,) float64 increasing seconds. No pair is further apart than max_difference (s), no index
+    is used twice, and pairs never cross. Where images come at half the rate of poses this is the nearest pose of each;
+    where two cameras run half a period apart it does not drop frames, as pairing the closest first would.
     """
-    a, b = times_a.numpy(), times_b.numpy()
-    first = np.searchsorted(b, a - max_difference, side="left")
-    last = np.searchsorted(b, a + max_difference, side="right")
-    candidates = [(abs(a[i] - b[j]), i, j) for i in range(len(a)) for j in range(first[i], last[i])]
-    partner: dict[int, int] = {}
-    taken: set[int] = set()
-    for _, i, j in sorted(candidates):
-        if i not in partner and j not in taken:
-            partner[i] = j
-            taken.add(j)
-    pairs = torch.tensor(sorted(partner.items()), dtype=torch.int64).reshape(-1, 2)
-    return pairs[:, 0], pairs[:, 1]
+    a, b = times_a.tolist(), times_b.tolist()
+    first = torch.searchsorted(times_b, times_a - max_difference, side="left").tolist()
+    last = torch.searchsorted(times_b, times_a + max_difference, side="right").tolist()
+    # best[j]: (pairs, -sum of differences, chain of pairs) with the a's so far and b[:j]; a's windows only move right
+    best: list[tuple[int, float, _Chain]] = [(0, 0.0, None)]
+    for i in range(len(a)):
+        best.extend(best[-1:] * (last[i] + 1 - len(best)))
+        before = best[first[i]]
+        for j in range(first[i], last[i]):
+            count, gain, chain = before
+            before = best[j + 1]
+            paired = (count + 1, gain - abs(a[i] - b[j]), (i, j, chain))
+            best[j + 1] = max(best[j + 1], paired, best[j], key=lambda entry: entry[:2])
+    pairs = []
+    chain = best[-1][2]
+    while chain is not None:
+        i, j, chain = chain
+        pairs.append((i, j))
+    indices = torch.tensor(pairs[::-1], dtype=torch.int64).reshape(-1, 2)
+    return indices[:, 0], indices[:, 1]
+
+
+_Chain = tuple[int, int, "_Chain"] | None
+
+
+def nearest(sorted_times: Tensor, times: Tensor) -> Tensor:
+    """(N,) indices of the entries of sorted_times (M,) nearest to times (N,), the earlier of two equally near."""
+    right = torch.searchsorted(sorted_times, times).clamp(max=len(sorted_times) - 1)
+    left = (right - 1).clamp(min=0)
+    take_left = (times - sorted_times[left]).abs() <= (sorted_times[right] - times).abs()
+    return torch.where(take_left, left, right)
 
 
 def align(source: Tensor, target: Tensor) -> Tensor:
