@@ -1,15 +1,18 @@
-"""The common interface of every odometry here, ours and the baselines (design of the comparison)."""
+"""The common interface of every odometry here, ours and the baselines, and run(): the one clock."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from time import perf_counter_ns
 from typing import Protocol
 
+import torch
 from torch import Tensor
 
-from .frame import RgbdFrame
+from .frame import BrokenFrame, RgbdFrame
+from .se3 import exp, inverse
 from .trajectory import Trajectory
 
 
@@ -64,3 +67,161 @@ class Alignment:
 
 
 Align = Callable[[RgbdFrame, RgbdFrame, Tensor], Alignment]  # source, target, guess of T_target_source
+
+
+def poses_to_trajectory(timestamps: Sequence[float], poses: Sequence[Tensor]) -> Trajectory:
+    """N times (s) and N (4, 4) poses as one Trajectory."""
+    stacked = torch.stack(list(poses)) if poses else torch.empty(0, 4, 4, dtype=torch.float64)
+    return Trajectory(torch.tensor(timestamps, dtype=torch.float64), stacked)
+
+
+class ConstantVelocity:
+    """The null baseline: never looks at an image, moves on at one velocity (by default none, so it stays)."""
+
+    name = "constant velocity"
+
+    def __init__(self, velocity: Tensor | None = None) -> None:
+        """velocity: (6,) float64 [v, w] of the camera in its own axes, m/s and rad/s."""
+        self._velocity = torch.zeros(6, dtype=torch.float64) if velocity is None else velocity
+        self.reset()
+
+    def reset(self, T_world_cam: Tensor | None = None) -> None:
+        """Forget everything; the next frame gets the pose T_world_cam (identity by default)."""
+        self._start = torch.eye(4, dtype=torch.float64) if T_world_cam is None else T_world_cam
+        self._times: list[float] = []
+        self._poses: list[Tensor] = []
+
+    def track(self, frame: RgbdFrame) -> TrackResult:
+        """The pose that the velocity predicts; WEAK, since nothing was measured."""
+        pose = self._start
+        if self._times:
+            pose = self._poses[-1] @ exp(self._velocity * (frame.timestamp - self._times[-1]))
+        self._times.append(frame.timestamp)
+        self._poses.append(pose)
+        return TrackResult(pose, Status.WEAK, "predicted without looking at the images")
+
+    def trajectory(self) -> Trajectory:
+        """All poses so far."""
+        return poses_to_trajectory(self._times, self._poses)
+
+
+class FrameToFrame:
+    """Any pairwise method as an Odometry: each frame is aligned to the one before, and the motions are chained.
+
+    After a lost frame the next is first aligned to the last good one; where that fails too, to the lost one, and a new
+    segment starts there at the pose that was held.
+    """
+
+    def __init__(self, align: Align, name: str = "frame to frame", predict: bool = True) -> None:
+        """align: the pairwise method. predict: its guess is the previous motion, else the identity."""
+        self.name = name
+        self._align = align
+        self._predict = predict
+        self.reset()
+
+    def reset(self, T_world_cam: Tensor | None = None) -> None:
+        """Forget everything; the next frame gets the pose T_world_cam (identity by default)."""
+        self._pose = torch.eye(4, dtype=torch.float64) if T_world_cam is None else T_world_cam  # T_world_cam, the last
+        self._motion = torch.eye(4, dtype=torch.float64)  # T_frame_previous, the last that was measured
+        self._good: RgbdFrame | None = None
+        self._lost: RgbdFrame | None = None  # the frame before, where it was lost
+        self._segment = 0
+        self._times: list[float] = []
+        self._poses: list[Tensor] = []
+
+    def track(self, frame: RgbdFrame) -> TrackResult:
+        """Align the frame to the one before. LOST with the method's reason, at the pose before, where that fails."""
+        if self._good is None:
+            result = TrackResult(self._pose, Status.OK, segment=self._segment)
+            self._good = frame
+        else:
+            result = self._step(frame, self._good)
+        self._pose = result.T_world_cam
+        self._times.append(frame.timestamp)
+        self._poses.append(self._pose)
+        return result
+
+    def trajectory(self) -> Trajectory:
+        """All poses so far."""
+        return poses_to_trajectory(self._times, self._poses)
+
+    def _step(self, frame: RgbdFrame, good: RgbdFrame) -> TrackResult:
+        identity = torch.eye(4, dtype=torch.float64)
+        reference = good
+        alignment = self._align(reference, frame, self._motion if self._predict else identity)
+        if alignment.status is Status.LOST and self._lost is not None:
+            reference = self._lost
+            alignment = self._align(reference, frame, identity)
+            self._segment += alignment.status is not Status.LOST
+        if alignment.status is Status.LOST:
+            self._lost, self._motion = frame, identity
+            return TrackResult(self._pose, Status.LOST, alignment.reason, segment=self._segment)
+        T_ref_cam = inverse(alignment.T_target_source)
+        self._good, self._lost, self._motion = frame, None, alignment.T_target_source
+        return TrackResult(
+            self._pose @ T_ref_cam,  # the pose held since the reference frame
+            alignment.status,
+            alignment.reason,
+            reference_time=reference.timestamp,
+            T_ref_cam=T_ref_cam,
+            information=alignment.information,
+            segment=self._segment,
+        )
+
+
+@dataclass(frozen=True)
+class Record:
+    """One frame of a run."""
+
+    timestamp: float  # s
+    result: TrackResult
+    decode_ms: float  # until the frame was there: reading, decoding, undistorting
+    track_ms: float | None  # in track() alone; None for a frame that could not be read
+
+
+@dataclass(frozen=True)
+class Run:
+    """What an odometry made of a sequence."""
+
+    name: str
+    records: tuple[Record, ...]
+
+    @property
+    def statuses(self) -> tuple[Status, ...]:
+        """One status a frame."""
+        return tuple(record.result.status for record in self.records)
+
+    def trajectory(self) -> Trajectory:
+        """The causal poses: each as it was known when its frame came."""
+        return poses_to_trajectory([r.timestamp for r in self.records], [r.result.T_world_cam for r in self.records])
+
+
+def run(
+    odometry: Odometry,
+    frames: Iterable[RgbdFrame | BrokenFrame],
+    on_record: Callable[[Record], None] | None = None,
+) -> Run:
+    """Track all frames, from wherever the odometry stands: the only place that takes time.
+
+    The clock runs around track() alone; fetching a frame is timed apart. A BrokenFrame is LOST with its reason, at the
+    last pose. on_record sees every record as soon as it is there, so that an interrupted run leaves what was done.
+    """
+    records: list[Record] = []
+    segment, pose = 0, torch.eye(4, dtype=torch.float64)
+    source = iter(frames)
+    while True:
+        begin = perf_counter_ns()
+        frame = next(source, None)
+        fetched = perf_counter_ns()
+        if frame is None:
+            return Run(odometry.name, tuple(records))
+        track_ms: float | None = None
+        if isinstance(frame, BrokenFrame):
+            result = TrackResult(pose, Status.LOST, frame.reason, segment=segment)
+        else:
+            result = odometry.track(frame)
+            track_ms = (perf_counter_ns() - fetched) / 1e6
+        pose, segment = result.T_world_cam, result.segment
+        records.append(Record(frame.timestamp, result, (fetched - begin) / 1e6, track_ms))
+        if on_record is not None:
+            on_record(records[-1])

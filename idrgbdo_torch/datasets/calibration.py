@@ -61,7 +61,8 @@ TUM_CAMERAS = {
 }
 
 
-UNSET = Calibration(*[float("nan")] * 4)
+NAN = float("nan")
+UNSET = Calibration(NAN, NAN, NAN, NAN)
 
 
 def find_calibration(folder: Path, camera: Path | None = None) -> Calibration:
