@@ -1,0 +1,163 @@
+"""The kinds of scenes, after the TUM freiburg3 set, each built around a camera path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import textures as tx
+from .config import Kind
+from .furniture import cabinets, clutter, table
+from .layout import Layout, fit_room
+from .surfaces import Array, Paint, Surface, box, cylinder, rectangle, room, sheet
+from .textures import Image, Rng
+
+WALL = 350.0  # texels per metre: walls are seen from a metre on
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Surfaces that close a space, and the corners (3,) of the part that its lamps light."""
+
+    surfaces: list[Surface]
+    low: Array
+    high: Array
+
+
+def build_scene(kind: Kind, T_scene_cam: Array, seed: int) -> Scene:
+    """A scene of this kind around a camera path (N, 4, 4), z up."""
+    rng = np.random.default_rng([seed, 1])
+    return SCENES[kind](fit_room(T_scene_cam, rng), rng)
+
+
+def _desk(layout: Layout, rng: Rng) -> Scene:
+    """A cluttered table in a furnished room with prints on its walls."""
+    walls = room(layout.low, layout.high)
+    surfaces = [sheet(grid, _wallpaper(name, rng), WALL) for name, grid in walls.items()]
+    surfaces += table(layout, lambda h, w, density: tx.wood(h, w, rng, density, [0.55, 0.4, 0.26]))
+    surfaces += cabinets(layout, rng)
+    return Scene(surfaces + clutter(layout, rng, 90), layout.low, layout.high)
+
+
+def _poor(layout: Layout, rng: Rng) -> Scene:
+    """Bare walls and furniture: weak shading and few edges."""
+    surfaces = []
+    for name, grid in room(layout.low, layout.high).items():
+        tone = tx.random_color(rng, 0.62, 0.72, 0.15) * (0.8 if name == "floor" else 1.0)
+        surfaces.append(sheet(grid, _plain(rng, tone, 0.03), WALL / 2))
+    surfaces += table(layout, _plain(rng, tx.random_color(rng, 0.5, 0.65, 0.3), 0.02), WALL)
+    for _ in range(300):
+        if len(layout.taken) >= 9:
+            break
+        x, y = layout.seen(rng)
+        size = rng.uniform(0.08, 0.3, 3)
+        base = layout.table_z if layout.on_table(x, y) else layout.low[2]
+        radius = float(np.hypot(size[0], size[1])) / 2
+        if layout.is_free(x, y, radius, base + size[2]):
+            layout.taken.append((x, y, radius))
+            paint = _plain(rng, tx.random_color(rng, 0.4, 0.75, 0.3), 0.02)
+            surfaces += [sheet(g, paint, WALL) for g in box([x, y, base], size, float(rng.uniform(0, np.pi)))]
+    return Scene(surfaces, layout.low, layout.high)
+
+
+def _structure_texture(layout: Layout, rng: Rng) -> Scene:
+    return _structure(layout, rng, lambda: _printed(rng, 7.0), WALL)
+
+
+def _structure_notexture(layout: Layout, rng: Rng) -> Scene:
+    return _structure(layout, rng, lambda: _plain(rng, tx.random_color(rng, 0.68, 0.78, 0.08), 0.006), WALL / 4)
+
+
+def _structure(layout: Layout, rng: Rng, paint: Callable[[], Paint], density: float) -> Scene:
+    """Folded panels for walls, boxes, steps and columns."""
+    outer = room(layout.low, layout.high)
+    surfaces = [sheet(outer[name], paint(), density) for name in ("floor", "ceiling")]
+    depth = 0.35
+    for name in ("north", "south", "east", "west"):
+        surfaces += [sheet(g, paint(), density) for g in _folded(outer[name], depth, rng)]
+    for _ in range(400):
+        if len(layout.taken) >= 14:
+            break
+        x, y = layout.seen(rng)
+        height = max(layout.table_z - layout.low[2] + rng.uniform(-0.35, 0.35), 0.2)
+        a, b, yaw = (float(v) for v in rng.uniform([0.25, 0.25, 0.0], [0.7, 0.7, np.pi]))
+        column = rng.random() < 0.25
+        radius = a / 2 if column else float(np.hypot(a, b)) / 2
+        if layout.is_free(x, y, radius, layout.low[2] + height):
+            layout.taken.append((x, y, radius))
+            base = [x, y, layout.low[2]]
+            grids = cylinder(base, radius, height, 40) if column else box(base, [a, b, height], yaw)
+            surfaces += [sheet(g, paint(), 1.5 * density) for g in grids]
+    inset = np.array([depth, depth, 0.0])
+    return Scene(surfaces, layout.low + inset, layout.high - inset)
+
+
+def _nostructure_texture(layout: Layout, rng: Rng) -> Scene:
+    """One large printed plane across the mean viewing direction, closed by a printed box behind the camera."""
+    forward = layout.rotations[:, :, 2].mean(0)
+    z = forward / np.linalg.norm(forward)
+    x = np.cross(z, [0.0, 0.0, 1.0] if abs(z[2]) < 0.95 else [0.0, 1.0, 0.0])
+    x /= np.linalg.norm(x)
+    axes = np.stack([x, np.cross(z, x), z])  # rows: right, down, forward
+    reach = layout.positions @ axes.T
+    low, high = reach.min(0) - [2.6, 2.6, 2.0], reach.max(0) + [2.6, 2.6, 1.25]
+    r, d, f = ((high - low)[k] * axes[k] for k in range(3))
+    corner = low @ axes
+    surfaces = [sheet(rectangle(corner + f, r, d), _printed(rng, 9.0), 450.0)]
+    behind, left, right = rectangle(corner + r, -r, d), rectangle(corner, f, d), rectangle(corner + f + r, -f, d)
+    above, below = rectangle(corner, r, f), rectangle(corner + f + d, r, -f)
+    surfaces += [sheet(grid, _printed(rng, 4.0), WALL / 2) for grid in (behind, left, right, above, below)]
+    middle = reach.mean(0) @ axes
+    return Scene(surfaces, middle - 1.0, middle + 1.0)  # lamps near the path, in front of the plane
+
+
+SCENES: dict[Kind, Callable[[Layout, Rng], Scene]] = {
+    "desk": _desk,
+    "structure_texture": _structure_texture,
+    "structure_notexture": _structure_notexture,
+    "nostructure_texture": _nostructure_texture,
+    "poor": _poor,
+}
+
+
+def _folded(wall: Array, depth: float, rng: Rng) -> list[Array]:
+    """A wall (2, 2, 3) as panels that zigzag into the room by up to `depth`, starting and ending on the wall."""
+    top, right, down = wall[0, 0], wall[0, 1] - wall[0, 0], wall[1, 0] - wall[0, 0]
+    into = np.cross(down, right)
+    into /= np.linalg.norm(into)
+    folds = 2 * max(int(np.linalg.norm(right) / 1.1), 2)
+    share = np.linspace(0, 1, folds + 1)
+    share[1:-1] += rng.uniform(-0.2, 0.2, folds - 1) / folds
+    inset = np.where(np.arange(folds + 1) % 2 == 1, depth * rng.uniform(0.5, 1.0, folds + 1), 0.0)
+    corners = top + share[:, None] * right + inset[:, None] * into
+    return [rectangle(a, b - a, down) for a, b in zip(corners[:-1], corners[1:], strict=True)]
+
+
+def _plain(rng: Rng, color: Image, contrast: float) -> Paint:
+    return lambda h, w, density: tx.plain(h, w, rng, density, color, contrast)
+
+
+def _printed(rng: Rng, per_m2: float) -> Paint:
+    """A rough surface with prints pinned all over it."""
+
+    def paint(h: int, w: int, density: float) -> Image:
+        image = tx.rough(h, w, rng, density, tx.random_color(rng, 0.35, 0.7), 0.2)
+        return tx.pinned(image, rng, density, per_m2, 0.15, 0.5)
+
+    return paint
+
+
+def _wallpaper(name: str, rng: Rng) -> Paint:
+    """Of a furnished room: prints on the walls, a carpet, a ceiling."""
+
+    def paint(h: int, w: int, density: float) -> Image:
+        if name == "floor":
+            return tx.rough(h, w, rng, density, tx.random_color(rng, 0.25, 0.5, 0.5), 0.3)
+        if name == "ceiling":
+            return tx.rough(h, w, rng, density, [0.8, 0.8, 0.78], 0.05)
+        image = tx.rough(h, w, rng, density, tx.random_color(rng, 0.55, 0.8, 0.3), 0.1)
+        return tx.pinned(image, rng, density, 2.2, 0.2, 0.6)
+
+    return paint

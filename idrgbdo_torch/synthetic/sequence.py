@@ -1,0 +1,198 @@
+"""A rendered sequence as frames, and as a folder in TUM's layout."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import IdRgbdoError
+from .config import SynthConfig
+from .layout import scene_from_world
+from .paths import Array, CameraPath, handheld_path, quaternion, recorded_path
+
+if TYPE_CHECKING:
+    from ..camera import Pinhole
+    from ..frame import RgbdFrame
+    from ..trajectory import Trajectory
+    from .render import Renderer
+
+Progress = Callable[[int, int], None]  # frames done, frames in all
+DEPTH_SCALE = 5000.0  # per metre, of TUM's files
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One frame as the sensor's files hold it."""
+
+    color: npt.NDArray[np.uint8]  # (H, W, 3) RGB
+    depth: npt.NDArray[np.uint16]  # (H, W), DEPTH_SCALE per metre, 0 where invalid
+
+
+@dataclass(frozen=True)
+class RenderedSequence:
+    """Frames of a rendered scene along a known path, made when asked for; any frame, in any order, gives the same bits."""
+
+    config: SynthConfig
+
+    def __len__(self) -> int:
+        return self.config.frames
+
+    def __iter__(self) -> Iterator[RgbdFrame]:
+        for index in range(len(self)):
+            yield self[index]
+
+    def __getitem__(self, index: int) -> RgbdFrame:
+        """Frame `index`, the same as reading it back from write_tum's folder."""
+        import cv2
+        import torch
+
+        from ..frame import RgbdFrame
+
+        shot = self.shot(index)
+        gray = cv2.cvtColor(shot.color, cv2.COLOR_RGB2GRAY).astype(np.float32)
+        depth = shot.depth.astype(np.float32) / np.float32(DEPTH_SCALE)
+        return RgbdFrame(
+            timestamp=float(self.timestamps[index]),
+            gray=torch.from_numpy(gray),
+            depth=torch.from_numpy(depth),
+            camera=self.camera,
+            color=torch.from_numpy(shot.color),
+        )
+
+    @cached_property
+    def camera(self) -> Pinhole:
+        from ..camera import Pinhole
+
+        c = self.config
+        return Pinhole(width=c.width, height=c.height, fx=c.fx, fy=c.fy, cx=c.cx, cy=c.cy)
+
+    @cached_property
+    def path(self) -> CameraPath:
+        """The camera's path, in the trajectory file's own time and world."""
+        c = self.config
+        duration = (c.frames - 1) / c.rate
+        if c.trajectory is None:
+            return handheld_path(c.start + duration, c.seed)
+        return recorded_path(c.trajectory, c.start, duration)
+
+    @cached_property
+    def timestamps(self) -> Array:
+        """(N,) s, centres of the exposures, whole microseconds."""
+        c = self.config
+        first = self.path.first + (c.start if c.trajectory is None else 0.0)
+        return np.asarray(np.round(first + np.arange(c.frames) / c.rate, 6))
+
+    @cached_property
+    def T_world_cam(self) -> Array:
+        """(N, 4, 4) exact poses."""
+        return np.stack([self.path.pose(t) for t in self.timestamps])
+
+    @cached_property
+    def groundtruth(self) -> Trajectory:
+        import torch
+
+        from ..trajectory import Trajectory
+
+        return Trajectory(
+            timestamps=torch.from_numpy(self.timestamps.copy()), T_world_cam=torch.from_numpy(self.T_world_cam.copy())
+        )
+
+    @cached_property
+    def T_scene_world(self) -> Array:
+        """(4, 4): the scene is built with z up around the middle of the path."""
+        return scene_from_world(self.T_world_cam)
+
+    @cached_property
+    def renderer(self) -> Renderer:
+        from .render import Renderer
+        from .scenes import build_scene
+        from .world import build_world
+
+        c = self.config
+        scene = build_scene(c.kind, self.T_scene_world @ self.T_world_cam, c.seed)
+        return Renderer(build_world(scene.surfaces, scene.low, scene.high, c.threads), c)
+
+    @cached_property
+    def exposure(self) -> float:
+        """Gain that puts the sequence's mean radiance at a comfortable level, as a camera's automatic exposure does."""
+        picks = np.linspace(0, len(self) - 1, min(len(self), 5)).astype(int)
+        means = [self.renderer.radiance(self._pose, self.timestamps[i], 0.0).mean() for i in picks]
+        return 0.22 / max(float(np.mean(means)), 1e-6)
+
+    def _pose(self, t: float) -> Array:
+        return np.asarray(self.T_scene_world @ self.path.pose(t))
+
+    def shot(self, index: int) -> Shot:
+        """Frame `index` as uint8 colour and uint16 depth."""
+        from .sensor import develop, exposure_gain, measure
+
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} of {len(self)}")
+        c, s = self.config, self.config.sensor
+        t = float(self.timestamps[index])
+        radiance = self.renderer.radiance(self._pose, t, s.exposure_s if s.motion_blur else 0.0)
+        gain = self.exposure * exposure_gain(t - float(self.timestamps[0]), s, c.seed)
+        light, range_noise = (np.random.default_rng([c.seed, index, stream]) for stream in (2, 3))
+        return Shot(
+            color=develop(radiance, gain, s, light),
+            depth=measure(self.renderer.depth(self._pose(t)), s, range_noise),
+        )
+
+
+def write_tum(sequence: RenderedSequence, folder: Path, progress: Progress | None = None) -> None:
+    """Write rgb/, depth/, rgb.txt, depth.txt, associations.txt, groundtruth.txt and calibration.txt.
+
+    Raises IdRgbdoError where the folder cannot be written or holds another sequence.
+    """
+    import cv2
+
+    folder = Path(folder)
+    if (folder / "rgb.txt").exists():
+        raise IdRgbdoError(f"out: expected a new folder, got {folder} that holds a sequence; remove it or name another")
+    try:
+        for name in ("rgb", "depth"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise IdRgbdoError(f"out: expected a folder that can be made, got {error}; name another") from error
+    stamps = [f"{t:.6f}" for t in sequence.timestamps]
+    for index, stamp in enumerate(stamps):
+        shot = sequence.shot(index)
+        images = (("rgb", np.ascontiguousarray(shot.color[..., ::-1])), ("depth", shot.depth))
+        for name, image in images:
+            file = folder / name / f"{stamp}.png"
+            if not cv2.imwrite(str(file), image, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
+                raise IdRgbdoError(f"out: expected a folder with room, could not write {file}; free some space")
+        if progress is not None:
+            progress(index + 1, len(stamps))
+    c = sequence.config
+    title = f"# rendered: {c.kind}, seed {c.seed}, {c.trajectory.name if c.trajectory else 'built-in path'}\n"
+    (folder / "depth.txt").write_text(title + "# timestamp filename\n" + _lines(f"{s} depth/{s}.png" for s in stamps))
+    both = (f"{s} rgb/{s}.png {s} depth/{s}.png" for s in stamps)
+    (folder / "associations.txt").write_text(_lines(both))
+    poses = (_pose_line(s, T) for s, T in zip(stamps, sequence.T_world_cam, strict=True))
+    (folder / "groundtruth.txt").write_text(title + "# timestamp tx ty tz qx qy qz qw\n" + _lines(poses))
+    (folder / "calibration.txt").write_text(f"{c.fx!r} {c.fy!r} {c.cx!r} {c.cy!r}\n")
+    # last: a folder with rgb.txt is complete
+    (folder / "rgb.txt").write_text(title + "# timestamp filename\n" + _lines(f"{s} rgb/{s}.png" for s in stamps))
+
+
+def synth(config: SynthConfig, out: Path, progress: Progress | None = None) -> RenderedSequence:
+    """Render a sequence into a folder in TUM's layout; returns it."""
+    sequence = RenderedSequence(config)
+    write_tum(sequence, out, progress)
+    return sequence
+
+
+def _lines(rows: Iterator[str]) -> str:
+    return "\n".join(rows) + "\n"
+
+
+def _pose_line(stamp: str, T: Array) -> str:
+    values = [*T[:3, 3], *quaternion(T[:3, :3])]
+    return stamp + "".join(f" {v:.12f}" for v in values)
