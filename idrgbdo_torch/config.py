@@ -19,6 +19,10 @@ class NoiseConfig:
     focal_baseline: float = 40.0  # px m, f * b of Eq. 10
     c_h: float = 1.0  # weight of the projective distortion, Eq. 7
     huber: float = 9.0  # gray levels
+    outlier: float = 3.0  # robust standard deviations of a point
+    depth_residual: bool = True  # beyond the paper: compare the warped with the measured depth
+    blend: float = 0.5  # share of the reference gradient in the Jacobian
+    point_depth: float = 1.0  # sigma of a point's fitted inverse depth over that of one reading
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,8 @@ class SelectionConfig:
     per_frame: bool = True  # choose anew for every frame among those the predicted pose sees, or once a keyframe
     candidates: int = 800  # kept per keyframe
     margin: float = 20.0  # px inside the image
+    spread: float = 0.5  # bits, weight of the second term of Eq. 18
+    distance: float = 6.0  # px between chosen points
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,22 @@
-"""What a sensor gives (RgbdFrame, BrokenFrame)."""
+"""What a sensor gives (RgbdFrame, BrokenFrame), what tracking reads (Frame), what it refers to (Keyframe)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from typing import Any
+
+import cv2
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from .camera import Pinhole
 from .errors import IdRgbdoError
+from .kernels.alignment import Points
+
+Image = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -41,3 +49,45 @@ class BrokenFrame:
 
     timestamp: float
     reason: str
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame ready for tracking: its gray pyramid as numpy views, what the fused kernels read."""
+
+    timestamp: float
+    camera: Pinhole
+    images: tuple[Image, ...]  # (H >> l, W >> l) float32 gray levels
+    depth: Image  # (H, W) float32 m
+    color: Tensor | None = None
+
+    @property
+    def intrinsics(self) -> Image:
+        """(L, 4) float64: fx fy cx cy of every level."""
+        cameras = [self.camera.at_level(level) for level in range(len(self.images))]
+        return np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras])
+
+
+def prepare(rgbd: RgbdFrame, levels: int) -> Frame:
+    """Gray pyramid by 2x2 means, which is what Pinhole.at_level assumes. The input is not changed."""
+    images = [np.ascontiguousarray(rgbd.gray.numpy())]
+    for _ in range(levels - 1):
+        height, width = images[-1].shape
+        even = images[-1][: height // 2 * 2, : width // 2 * 2]
+        images.append(cv2.resize(even, (width // 2, height // 2), interpolation=cv2.INTER_AREA))
+    import os
+    s0=float(os.environ.get('S0','0')); s1=float(os.environ.get('S1','0'))
+    if s1>0: images=[images[0]]+[cv2.GaussianBlur(i,(5,5),s1) for i in images[1:]]
+    if s0>0: images[0]=cv2.GaussianBlur(images[0],(5,5),s0)
+    return Frame(rgbd.timestamp, rgbd.camera, tuple(images), np.ascontiguousarray(rgbd.depth.numpy()), rgbd.color)
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A frame with its candidate points (struct of arrays); its pose lives in the window."""
+
+    frame: Frame
+    points: Points
+    radius: Image  # (N,) distance to the principal point over the largest one
+    tier: Image  # (N,) 2 Canny edge, 1 above the regional threshold, 0 weaker
+    coarse: Image  # (M,) indices spread over the image: coarse levels and verification

@@ -1,0 +1,188 @@
+"""Fused candidate extraction (steps 1 and 2 of section 4.1) and local depth planes."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+from .alignment import PATTERN_U, PATTERN_V
+from .sampling import sample
+
+
+@njit(cache=True, nogil=True)
+def gradient_squared(image):
+    """Squared central-difference gradient, zero on the border."""
+    height, width = image.shape
+    out = np.zeros((height, width), dtype=np.float32)
+    for v in range(1, height - 1):
+        for u in range(1, width - 1):
+            gu = 0.5 * (image[v, u + 1] - image[v, u - 1])
+            gv = 0.5 * (image[v + 1, u] - image[v - 1, u])
+            out[v, u] = gu * gu + gv * gv
+    return out
+
+
+@njit(cache=True, nogil=True)
+def block_thresholds(gradient2, block, offset):
+    """Region-adaptive threshold: median gradient of a block plus offset, smoothed 3x3; squared like the gradient."""
+    height, width = gradient2.shape
+    rows = (height + block - 1) // block
+    cols = (width + block - 1) // block
+    raw = np.zeros((rows, cols))
+    histogram = np.zeros(64, dtype=np.int64)
+    for r in range(rows):
+        for c in range(cols):
+            histogram[:] = 0
+            count = 0
+            for v in range(r * block, min((r + 1) * block, height)):
+                for u in range(c * block, min((c + 1) * block, width)):
+                    histogram[min(63, int(sqrt(gradient2[v, u])))] += 1
+                    count += 1
+            below = 0
+            for k in range(64):
+                below += histogram[k]
+                if 2 * below > count:
+                    raw[r, c] = k + offset
+                    break
+    out = np.empty((rows, cols))
+    for r in range(rows):
+        for c in range(cols):
+            total = 0.0
+            count = 0
+            for i in range(max(0, r - 1), min(rows, r + 2)):
+                for j in range(max(0, c - 1), min(cols, c + 2)):
+                    total += raw[i, j]
+                    count += 1
+            out[r, c] = (total / count) ** 2
+    return out
+
+
+@njit(cache=True, nogil=True)
+def fit_plane(depth, u, v, radius, sigma):
+    """Inverse depth at pixel (u, v) from a plane through its neighbourhood.
+
+    Inverse depth is linear in pixel coordinates on a plane, so the fit is unbiased on any flat surface.
+    Returns (valid, inverse depth, d/du, d/dv). Invalid at holes, jumps and clearly curved places.
+    sigma: noise of one reading in 1/m.
+    """
+    height, width = depth.shape
+    if u < radius or v < radius or u >= width - radius or v >= height - radius or depth[v, u] <= 0.0:
+        return False, 0.0, 0.0, 0.0
+    centre = 1.0 / np.float64(depth[v, u])
+    gate = max(5.0 * sigma, 0.06 * centre)
+    n = 0
+    sx = sy = sxx = sxy = syy = sd = sxd = syd = sdd = 0.0
+    for j in range(-radius, radius + 1):
+        for i in range(-radius, radius + 1):
+            z = depth[v + j, u + i]
+            if z <= 0.0:
+                if abs(i) <= 2 and abs(j) <= 2:
+                    return False, 0.0, 0.0, 0.0
+                continue
+            d = 1.0 / np.float64(z) - centre
+            if abs(d) > gate:
+                return False, 0.0, 0.0, 0.0
+            n += 1
+            sx += i
+            sy += j
+            sxx += i * i
+            sxy += i * j
+            syy += j * j
+            sd += d
+            sxd += i * d
+            syd += j * d
+            sdd += d * d
+    if n < (2 * radius + 1) ** 2 * 3 // 4:
+        return False, 0.0, 0.0, 0.0
+    A = np.array([[float(n), sx, sy], [sx, sxx, sxy], [sy, sxy, syy]])
+    rhs = np.array([sd, sxd, syd])
+    fit = np.linalg.solve(A, rhs)
+    residual2 = (sdd - fit[0] * sd - fit[1] * sxd - fit[2] * syd) / n
+    if residual2 > (2.0 * sigma) ** 2:
+        return False, 0.0, 0.0, 0.0
+    return True, centre + fit[0], fit[1], fit[2]
+
+
+@njit(cache=True, nogil=True)
+def grid_candidates(gradient2, thresholds, block, edges, depth, cell, border, radius, sigma):
+    """One candidate a grid cell, the best of three tiers: Canny edge, above threshold, weaker area (section 4.1).
+
+    Within a tier the strongest gradient wins, and a pixel needs a valid local depth plane. Returns
+    uv (M, 2), inverse depth (M,), tier (M,).
+    """
+    height, width = gradient2.shape
+    capacity = ((height + cell - 1) // cell) * ((width + cell - 1) // cell)
+    uv = np.empty((capacity, 2))
+    inv_depth = np.empty(capacity)
+    tiers = np.empty(capacity, dtype=np.int64)
+    count = 0
+    tried = np.empty(cell * cell, dtype=np.float64)
+    for v0 in range(border, height - border, cell):
+        for u0 in range(border, width - border, cell):
+            n = 0
+            for v in range(v0, min(v0 + cell, height - border)):
+                for u in range(u0, min(u0 + cell, width - border)):
+                    g2 = gradient2[v, u]
+                    limit = thresholds[v // block, u // block]
+                    if g2 > limit:
+                        tier = 2.0 if edges[v, u] else 1.0
+                    elif g2 > 0.25 * limit:
+                        tier = 0.0
+                    else:
+                        tier = -1.0
+                    tried[n] = -1.0 if depth[v, u] <= 0.0 or tier < 0.0 else tier * 1e7 + g2
+                    n += 1
+            for _ in range(6):
+                best = np.argmax(tried[:n])
+                if tried[best] < 0.0:
+                    break
+                wide = min(u0 + cell, width - border) - u0
+                u = u0 + best % wide
+                v = v0 + best // wide
+                ok, d, _gu, _gv = fit_plane(depth, u, v, radius, sigma)
+                if ok:
+                    uv[count, 0] = u
+                    uv[count, 1] = v
+                    inv_depth[count] = d
+                    tiers[count] = int(tried[best] // 1e7)
+                    count += 1
+                    break
+                tried[best] = -1.0
+    return uv[:count], inv_depth[:count], tiers[:count]
+
+
+@njit(cache=True, nogil=True)
+def planes_at(depth, uv, radius, sigma):
+    """fit_plane at many pixels: (valid (N,), inverse depth (N,))."""
+    n = uv.shape[0]
+    valid = np.zeros(n, dtype=np.bool_)
+    inv_depth = np.zeros(n)
+    for i in range(n):
+        valid[i], inv_depth[i], _gu, _gv = fit_plane(depth, int(uv[i, 0]), int(uv[i, 1]), radius, sigma)
+    return valid, inv_depth
+
+
+@njit(cache=True, nogil=True)
+def sample_patches(images, uv, pixels):
+    """Reference intensities (L, N, P) and gradients (L, N, P, 2)."""
+    levels = len(images)
+    n = uv.shape[0]
+    patch = np.zeros((levels, n, pixels), dtype=np.float32)
+    gradient = np.zeros((levels, n, pixels, 2), dtype=np.float32)
+    for level in range(levels):
+        image = images[level]
+        size = 0.5**level
+        for i in range(n):
+            u0 = (uv[i, 0] + 0.5) * size - 0.5
+            v0 = (uv[i, 1] + 0.5) * size - 0.5
+            for k in range(pixels):
+                # clamped near the border: coarse levels have less room, and a clamped pixel is still a fair guess
+                u = min(max(u0 + PATTERN_U[k], 1.0), image.shape[1] - 2.001)
+                v = min(max(v0 + PATTERN_V[k], 1.0), image.shape[0] - 2.001)
+                _ok, value, gu, gv = sample(image, u, v)
+                patch[level, i, k] = value
+                gradient[level, i, k, 0] = gu
+                gradient[level, i, k, 1] = gv
+    return patch, gradient

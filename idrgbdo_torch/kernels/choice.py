@@ -1,0 +1,234 @@
+"""Fused Algorithm 1: whitened rows of every candidate, and the greedy choice among them."""
+
+from __future__ import annotations
+
+from math import log, sqrt
+
+import numpy as np
+from numba import njit
+
+from .alignment import PATTERN_U, distortion_weight, photometric_variance
+from .sampling import sample, sample_inverse_depth
+
+
+@njit(cache=True, nogil=True)
+def whitened_rows(cam, width, height, margin, points, index, T, noise):
+    """Rows A (M, 3, 6) whose A^T A is a point's information at pose T, and who is seen: the margin inside the image.
+
+    The first two rows carry the patch, L^T J_geo with L L^T = G (design: rank 2 a patch), the third the depth residual.
+    """
+    fx, fy, cx, cy = cam[0], cam[1], cam[2], cam[3]
+    pixels = points.patch.shape[2]
+    n = index.shape[0]
+    A = np.zeros((n, 3, 6))
+    seen = np.zeros(n, dtype=np.bool_)
+    where = np.zeros((n, 2))
+    J = np.zeros((2, 6))
+    for m in range(n):
+        p = index[m]
+        d = points.inv_depth[p]
+        mx = (points.uv[p, 0] - cx) / fx
+        my = (points.uv[p, 1] - cy) / fy
+        qx = T[0, 0] * mx + T[0, 1] * my + T[0, 2] + T[0, 3] * d
+        qy = T[1, 0] * mx + T[1, 1] * my + T[1, 2] + T[1, 3] * d
+        qz = T[2, 0] * mx + T[2, 1] * my + T[2, 2] + T[2, 3] * d
+        if qz < 1e-3:
+            continue
+        iz = 1.0 / qz
+        x = qx * iz
+        y = qy * iz
+        u = fx * x + cx
+        v = fy * y + cy
+        if not (u >= margin and v >= margin and u <= width - 1 - margin and v <= height - 1 - margin):
+            continue
+        a00 = (T[0, 0] - x * T[2, 0]) * iz
+        a01 = (T[0, 1] - x * T[2, 1]) * iz * fx / fy
+        a10 = (T[1, 0] - y * T[2, 0]) * iz * fy / fx
+        a11 = (T[1, 1] - y * T[2, 1]) * iz
+        area = a00 * a11 - a01 * a10
+        if area <= 0.0:
+            continue
+        seen[m] = True
+        where[m, 0] = u
+        where[m, 1] = v
+        rho = d * iz
+        h = distortion_weight(area, noise.c_h)
+        du_dd = fx * (T[0, 3] - x * T[2, 3]) * iz
+        dv_dd = fy * (T[1, 3] - y * T[2, 3]) * iz
+        var_d = points.var_inv_depth[p]
+        G00 = G01 = G11 = 0.0
+        for k in range(pixels):
+            gu = np.float64(points.gradient[0, p, k, 0])
+            gv = np.float64(points.gradient[0, p, k, 1])
+            w = 1.0 / (h * photometric_variance(gu, gv, du_dd, dv_dd, var_d, noise))
+            G00 += w * gu * gu
+            G01 += w * gu * gv
+            G11 += w * gv * gv
+        L00 = sqrt(G00)
+        L10 = G01 / L00 if L00 > 0.0 else 0.0
+        L11 = sqrt(max(0.0, G11 - L10 * L10))
+        J[0, 0] = fx * rho
+        J[0, 2] = -fx * rho * x
+        J[0, 3] = -fx * x * y
+        J[0, 4] = fx * (1.0 + x * x)
+        J[0, 5] = -fx * y
+        J[1, 1] = fy * rho
+        J[1, 2] = -fy * rho * y
+        J[1, 3] = -fy * (1.0 + y * y)
+        J[1, 4] = fy * x * y
+        J[1, 5] = fy * x
+        for i in range(6):
+            A[m, 0, i] = L00 * J[0, i] + L10 * J[1, i]
+            A[m, 1, i] = L11 * J[1, i]
+        if noise.use_depth:
+            s = sqrt(1.0 / (noise.var_depth + iz**4 * var_d))
+            A[m, 2, 2] = s * rho * rho
+            A[m, 2, 3] = s * rho * y
+            A[m, 2, 4] = -s * rho * x
+    return A, seen, where
+
+
+@njit(cache=True, nogil=True, inline="always")
+def gain_bits(A, C, AC):
+    """1/2 log2 det(I_3 + A C A^T): what one point adds, in bits (Eq. 17)."""
+    for r in range(3):
+        for i in range(6):
+            AC[r, i] = 0.0
+            for j in range(6):
+                AC[r, i] += A[r, j] * C[j, i]
+    s00 = s11 = s22 = 1.0
+    s01 = s02 = s12 = 0.0
+    for i in range(6):
+        s00 += AC[0, i] * A[0, i]
+        s01 += AC[0, i] * A[1, i]
+        s02 += AC[0, i] * A[2, i]
+        s11 += AC[1, i] * A[1, i]
+        s12 += AC[1, i] * A[2, i]
+        s22 += AC[2, i] * A[2, i]
+    det = s00 * (s11 * s22 - s12 * s12) - s01 * (s01 * s22 - s12 * s02) + s02 * (s01 * s12 - s11 * s02)
+    return 0.5 * log(max(det, 1.0)) / log(2.0)
+
+
+@njit(cache=True, nogil=True)
+def select(A, seen, where, radius, m, information, spread, c_z, distance):
+    """Algorithm 1 over whitened rows, lazily: a gain can only shrink as points join, so a stale gain is a bound.
+
+    radius: (N,) 0 at the principal point to 1; information: (6, 6) start, positive definite; spread: weight of the
+    second term of Eq. 18 in bits; distance: px between chosen points (overlapping patches measure the same thing).
+    Returns the chosen indices (<= m,) in order of choice.
+    """
+    n = A.shape[0]
+    free = seen.copy()
+    chosen = np.empty(m, dtype=np.int64)
+    count = 0
+    L = information.copy()
+    distance2 = distance * distance
+    # one point per degree of freedom: the largest whitened derivative
+    for k in range(6):
+        best = -1
+        best_value = 0.0
+        for i in range(n):
+            if free[i]:
+                value = A[i, 0, k] ** 2 + A[i, 1, k] ** 2 + A[i, 2, k] ** 2
+                if value > best_value:
+                    best_value = value
+                    best = i
+        if best < 0 or count >= m:
+            break
+        chosen[count] = best
+        count += 1
+        L += A[best].T @ A[best]
+        close(free, where, best, distance2)
+    C = np.linalg.inv(L)
+    gains = np.full(n, np.inf)
+    AC = np.empty((3, 6))
+    steps = max(1, m - 6)
+    z = 1.0
+    while count < m:
+        best = -1
+        best_value = -np.inf
+        fresh = np.zeros(n, dtype=np.bool_)
+        while True:
+            best = -1
+            best_value = -np.inf
+            for i in range(n):
+                if free[i]:
+                    value = gains[i] + spread / (c_z * (radius[i] - z) ** 2 + 1.0)
+                    if value > best_value:
+                        best_value = value
+                        best = i
+            if best < 0 or fresh[best]:
+                break
+            gains[best] = gain_bits(A[best], C, AC)
+            fresh[best] = True
+        if best < 0:
+            break
+        chosen[count] = best
+        count += 1
+        # C <- (C^-1 + A^T A)^-1
+        AC[:] = A[best] @ C
+        S = np.eye(3) + AC @ A[best].T
+        C -= AC.T @ np.linalg.solve(S, AC)
+        close(free, where, best, distance2)
+        z = max(0.0, z - 1.0 / steps)
+    return chosen[:count]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def close(free, where, best, distance2):
+    """Take the chosen point and everything closer than the distance out of the race."""
+    for i in range(free.shape[0]):
+        if free[i]:
+            du = where[i, 0] - where[best, 0]
+            dv = where[i, 1] - where[best, 1]
+            if du * du + dv * dv < distance2 or i == best:
+                free[i] = False
+
+
+@njit(cache=True, nogil=True)
+def verify(image, depth, cam, level, points, patch_level, index, T, affine, noise, limit):
+    """How well a pose explains many points: (seen, photometric inliers, with depth, depth inliers, median |r|)."""
+    fx, fy, cx, cy = cam[0], cam[1], cam[2], cam[3]
+    size = 0.5**level
+    up = 1.0 / size
+    gain = np.exp(affine[0])
+    seen = 0
+    photo = 0
+    with_depth = 0
+    agree = 0
+    occluded = 0
+    residuals = np.empty(index.shape[0])
+    for n in range(index.shape[0]):
+        p = index[n]
+        d = points.inv_depth[p]
+        mx = ((points.uv[p, 0] + 0.5) * size - 0.5 - cx) / fx
+        my = ((points.uv[p, 1] + 0.5) * size - 0.5 - cy) / fy
+        qx = T[0, 0] * mx + T[0, 1] * my + T[0, 2] + T[0, 3] * d
+        qy = T[1, 0] * mx + T[1, 1] * my + T[1, 2] + T[1, 3] * d
+        qz = T[2, 0] * mx + T[2, 1] * my + T[2, 2] + T[2, 3] * d
+        if qz < 1e-3:
+            continue
+        u = fx * qx / qz + cx
+        v = fy * qy / qz + cy
+        ok, value, _gu, _gv = sample(image, u, v)
+        if not ok:
+            continue
+        r = abs(value - gain * patch_level[p, 0] - affine[1])
+        residuals[seen] = r
+        seen += 1
+        if r < limit:
+            photo += 1
+        ok, measured, _gu, _gv = sample_inverse_depth(depth, (u + 0.5) * up - 0.5, (v + 0.5) * up - 0.5, 0.1)
+        if ok:
+            with_depth += 1
+            rho = d / qz
+            off = measured - rho
+            if abs(off) < 4.0 * sqrt(noise.var_depth + points.var_inv_depth[p]) + 0.02 * rho:
+                agree += 1
+            elif off > 0.0:
+                occluded += 1
+    median = np.median(residuals[:seen]) if seen > 0 else 255.0
+    return seen, photo, with_depth, agree, occluded, median
+
+
+PIXELS = PATTERN_U.shape[0]

@@ -1,0 +1,41 @@
+"""Small dense linear algebra without exceptions: failure is a value here."""
+
+from __future__ import annotations
+
+from math import isfinite, sqrt
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def solve_spd(A, b):
+    """(ok, x) of A x = b by Cholesky; not ok where A is not positive definite or not finite."""
+    n = A.shape[0]
+    L = np.zeros((n, n))
+    x = np.zeros(n)
+    for i in range(n):
+        for j in range(i + 1):
+            s = A[i, j]
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            if i == j:
+                if not (s > 0.0 and isfinite(s)):
+                    return False, x
+                L[i, i] = sqrt(s)
+            else:
+                L[i, j] = s / L[j, j]
+    for i in range(n):
+        s = b[i]
+        for k in range(i):
+            s -= L[i, k] * x[k]
+        x[i] = s / L[i, i]
+    for i in range(n - 1, -1, -1):
+        s = x[i]
+        for k in range(i + 1, n):
+            s -= L[k, i] * x[k]
+        x[i] = s / L[i, i]
+    for i in range(n):
+        if not isfinite(x[i]):
+            return False, x
+    return True, x

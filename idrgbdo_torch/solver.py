@@ -1,0 +1,104 @@
+"""Normal equations, robust weights, damped steps, batched; failure is a value with a sentence, never an exception."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+MAD_TO_SIGMA = 1.4826  # of a Gaussian
+MIN_PIVOT = 1e-13  # of a unit-diagonal matrix: the share of a variable's information that the others do not explain
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The step of one linear system, or of a batch of them."""
+
+    y: Tensor  # (..., m) float64; zero where not ok
+    ok: Tensor  # (...) bool
+    reason: str  # one sentence about the first failure; empty when all are ok
+
+
+def normal_equations(
+    J: Tensor, r: Tensor, weight: Tensor, prior: tuple[Tensor, Tensor] | None = None
+) -> tuple[Tensor, Tensor]:
+    """Eq. (4). (J^T Sigma_r^-1 J) y = -J^T Sigma_r^-1 r: both sides H (..., m, m) and b (..., m), float64.
+
+    J (..., n, m), r (..., n), weight (..., n) the diagonal of Sigma_r^-1 (times robust weights; 0 leaves a row out),
+    prior = (H_0, b_0) is added.
+    """
+    J, r, weight = J.double(), r.double(), weight.double()
+    JtW = J.mT * weight[..., None, :]
+    H = JtW @ J
+    b = -(JtW @ r[..., None])[..., 0]
+    if prior is not None:
+        H, b = H + prior[0], b + prior[1]
+    return H, b
+
+
+def solve(H: Tensor, b: Tensor, damping: float | Tensor = 0.0) -> Solution:
+    """The step y with (H + damping diag H) y = b, by Cholesky on the unit-diagonal system; H (..., m, m), b (..., m).
+
+    damping is a number or (...), 0 being Gauss-Newton. Not ok: a number that is not finite, or a singular H.
+    """
+    H, b = H.double(), b.double()
+    finite = torch.isfinite(H).all(-1).all(-1) & torch.isfinite(b).all(-1)
+    H = torch.where(finite[..., None, None], H, 0.0)
+    diagonal = H.diagonal(dim1=-2, dim2=-1)
+    observed = (diagonal > 0).all(-1)
+    scale = torch.where(diagonal > 0, diagonal, 1.0).rsqrt()  # units drop out: metres and radians, any magnitude
+    unit = scale[..., :, None] * H * scale[..., None, :]
+    extra = torch.as_tensor(damping, dtype=H.dtype, device=H.device)[..., None, None]
+    eye = torch.eye(H.shape[-1], dtype=H.dtype, device=H.device)
+    factor, failed = torch.linalg.cholesky_ex(unit + extra * eye)
+    pivots = factor.diagonal(dim1=-2, dim2=-1).square().amin(-1)
+    regular = observed & (failed == 0) & (pivots > MIN_PIVOT)
+    ok = finite & regular
+    factor = torch.where(ok[..., None, None], factor, eye)
+    rhs = torch.where(ok[..., None], scale * b, 0.0)
+    y = scale * torch.cholesky_solve(rhs[..., None], factor)[..., 0]
+    if bool(ok.all()):
+        reason = ""
+    elif not bool(finite.all()):
+        reason = "the normal equations contain a value that is not finite"
+    else:
+        reason = "the normal equations are singular: the measurements leave a direction free"
+    return Solution(y, ok, reason)
+
+
+def huber_weight(r: Tensor, threshold: float | Tensor, limit: float | Tensor = float("inf")) -> Tensor:
+    """Weight rho'(r) / r of `robust_cost`, in r's shape: 1, past the threshold threshold / |r|, past the limit 0."""
+    size = r.abs()
+    weight = threshold / torch.maximum(size, torch.as_tensor(threshold, dtype=r.dtype, device=r.device))
+    return torch.where(size <= limit, weight, 0.0)
+
+
+def robust_cost(r: Tensor, threshold: float | Tensor, limit: float | Tensor = float("inf")) -> Tensor:
+    """Huber's rho, saturated: r^2 / 2, past the threshold k k (|r| - k / 2), past the limit constant.
+
+    In r's shape. The limit must not be below the threshold.
+    """
+    size = torch.minimum(r.abs(), torch.as_tensor(limit, dtype=r.dtype, device=r.device))
+    return torch.where(size <= threshold, 0.5 * size * size, threshold * (size - 0.5 * threshold))
+
+
+def mad_scale(x: Tensor, valid: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Robust centre and standard deviation (...) of x (..., N): the median, and 1.4826 median deviations from it.
+
+    Medians are the lower of the two middle values. Where no value is valid both are NaN.
+    """
+    known = x if valid is None else torch.where(valid, x, torch.nan)
+    centre = known.nanmedian(dim=-1).values
+    deviation = (known - centre[..., None]).abs().nanmedian(dim=-1).values
+    return centre, MAD_TO_SIGMA * deviation
+
+
+def mad_outliers(x: Tensor, valid: Tensor | None = None, factor: float = 3.0, min_scale: float = 0.0) -> Tensor:
+    """The mask (..., N) of valid values further than factor robust standard deviations from the median.
+
+    `min_scale` keeps the deviation from collapsing to nothing when more than half of the values agree.
+    """
+    centre, scale = mad_scale(x, valid)
+    outlier = (x - centre[..., None]).abs() > factor * scale.clamp(min=min_scale)[..., None]
+    return outlier if valid is None else outlier & valid
