@@ -68,14 +68,14 @@ def solve(H: Tensor, b: Tensor, damping: float | Tensor = 0.0) -> Solution:
 
 
 def huber_weight(r: Tensor, threshold: float | Tensor, limit: float | Tensor = float("inf")) -> Tensor:
-    """Weight rho'(r) / r of `robust_cost`, in r's shape: 1, past the threshold threshold / |r|, past the limit 0."""
+    """Weight rho'(r) / r of `robust_cost`, in r's shape: 1, k / |r| past the threshold k, 0 past the limit."""
     size = r.abs()
     weight = threshold / torch.maximum(size, torch.as_tensor(threshold, dtype=r.dtype, device=r.device))
     return torch.where(size <= limit, weight, 0.0)
 
 
 def robust_cost(r: Tensor, threshold: float | Tensor, limit: float | Tensor = float("inf")) -> Tensor:
-    """Huber's rho, saturated: r^2 / 2, past the threshold k k (|r| - k / 2), past the limit constant.
+    """Huber's rho, saturated: r^2 / 2, k (|r| - k / 2) past the threshold k, constant past the limit.
 
     In r's shape. The limit must not be below the threshold.
     """
@@ -84,7 +84,7 @@ def robust_cost(r: Tensor, threshold: float | Tensor, limit: float | Tensor = fl
 
 
 def mad_scale(x: Tensor, valid: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """Robust centre and standard deviation (...) of x (..., N): the median, and 1.4826 median deviations from it.
+    """Robust centre and standard deviation (...) of x (..., N): the median, and 1.4826 median distances to it.
 
     Medians are the lower of the two middle values. Where no value is valid both are NaN.
     """
