@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 
 from .errors import IdRgbdoError
 
@@ -27,9 +26,9 @@ def pyramid(image: Tensor, levels: int) -> tuple[Tensor, ...]:
             raise IdRgbdoError(
                 f"levels: expected at most {len(images)} for an image of {tuple(image.shape[-2:])} pixels, got {levels}"
             )
-        batch, size = finer.shape[:-2], finer.shape[-2:]
-        halved = F.avg_pool2d(finer.reshape(-1, 1, *size), 2)
-        images.append(halved.reshape(*batch, *halved.shape[-2:]))
+        height, width = (n // 2 * 2 for n in finer.shape[-2:])
+        rows = finer[..., 0:height:2, :width] + finer[..., 1:height:2, :width]
+        images.append((rows[..., 0::2] + rows[..., 1::2]) / 4)
     return tuple(images)
 
 
@@ -43,8 +42,8 @@ def gradient(image: Tensor) -> Tensor:
 
 def sample_bilinear(image: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
     """Bilinear values and validity (*B, ...) of an image (*B, H, W) at uv (*B, ..., 2); valid on 0 <= u <= W - 1."""
-    cells, a, b, valid = _cells(image, uv, border=0)  # (*B, ..., 2, 2)
-    value = _between(_between(cells, a).mT, b)[..., 0, 0]
+    cells, a, b, valid = _cells(image, uv, border=0)
+    value = _between(_between(cells, b), a, dim=1)[0, 0]
     return torch.where(valid, value, 0.0), valid
 
 
@@ -54,13 +53,11 @@ def sample_with_gradient(image: Tensor, uv: Tensor) -> tuple[Tensor, Tensor, Ten
     g is the central-difference gradient image sampled bilinearly, which is the same as half the difference of the
     bilinear values one pixel to either side, so it is valid on 1 <= u <= W - 2 (v alike).
     """
-    cells, a, b, valid = _cells(image, uv, border=1)  # (*B, ..., 4, 4)
-    samples = _between(
-        _between(cells, a).mT, b
-    ).mT  # (*B, ..., 3, 3): bilinear values at v - 1, v, v + 1 by u - 1, u, u + 1
-    value = samples[..., 1, 1]
-    g_u = (samples[..., 1, 2] - samples[..., 1, 0]) / 2
-    g_v = (samples[..., 2, 1] - samples[..., 0, 1]) / 2
+    cells, a, b, valid = _cells(image, uv, border=1)
+    I = _between(_between(cells, b), a, dim=1)  # (3, 3, *B, ...): bilinear values at v - 1, v, v + 1 by u - 1, u, u + 1
+    value = I[1, 1]
+    g_u = (I[1, 2] - I[1, 0]) / 2
+    g_v = (I[2, 1] - I[0, 1]) / 2
     g = torch.stack([g_u, g_v], dim=-1)
     return torch.where(valid, value, 0.0), torch.where(valid[..., None], g, 0.0), valid
 
@@ -71,12 +68,12 @@ def sample_surface(inverse_depth: Tensor, uv: Tensor, agreement: float = AGREEME
     Valid where the four neighbours are positive (0 marks a missing depth) and the largest exceeds the smallest by at
     most the fraction `agreement`. The gradient is the exact derivative of the bilinear value: no further neighbours.
     """
-    cells, a, b, valid = _cells(inverse_depth, uv, border=0)  # (*B, ..., 2, 2), rows down, columns right
-    low, high = cells.flatten(-2).amin(-1), cells.flatten(-2).amax(-1)
+    cells, a, b, valid = _cells(inverse_depth, uv, border=0)
+    low, high = cells.amin((0, 1)), cells.amax((0, 1))
     valid = valid & (low > 0) & (high <= (1 + agreement) * low)
-    value = _between(_between(cells, a).mT, b)[..., 0, 0]
-    g_u = _between((cells[..., 1:] - cells[..., :1]).mT, b)[..., 0, 0]
-    g_v = _between(cells[..., 1:, :] - cells[..., :1, :], a)[..., 0, 0]
+    value = _between(_between(cells, b), a, dim=1)[0, 0]
+    g_u = _between(cells[:, 1] - cells[:, 0], b)[0]
+    g_v = _between(cells[1] - cells[0], a)[0]
     g = torch.stack([g_u, g_v], dim=-1)
     return torch.where(valid, value, 0.0), torch.where(valid[..., None], g, 0.0), valid
 
@@ -89,15 +86,18 @@ def canny(gray: Tensor, low: float = 50.0, high: float = 200.0) -> Tensor:
     return torch.from_numpy(edges).bool()
 
 
-def _between(x: Tensor, a: Tensor) -> Tensor:
-    """Linear interpolation (..., m, n - 1) between neighbours along the last dimension of x (..., m, n), at a (...)."""
-    return x[..., :-1] + a[..., None, None] * (x[..., 1:] - x[..., :-1])
+def _between(x: Tensor, a: Tensor, dim: int = 0) -> Tensor:
+    """Linear interpolation at a (*B, ...) between neighbours along one dimension of x, which shrinks by one."""
+    count = x.shape[dim] - 1
+    first, second = x.narrow(dim, 0, count), x.narrow(dim, 1, count)
+    return first + a * (second - first)
 
 
 def _cells(image: Tensor, uv: Tensor, border: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The square of 2 + 2 border pixels (*B, ..., n, n) around uv, its place (a, b) in the middle cell, validity.
+    """The square of n = 2 + 2 border pixels around uv, (n, n, *B, ...) down by right; the place (a, b) of uv; validity.
 
-    The middle cell begins at floor(uv), or one before at the far end of the valid range. Invalid samples get some cell.
+    (a, b) counts right and down from the middle cell's corner floor(uv), or one before at the far end of the valid
+    range. An invalid sample gets some cell of the image.
     """
     batch, (height, width) = image.shape[:-2], image.shape[-2:]
     n = 2 + 2 * border
@@ -115,8 +115,10 @@ def _cells(image: Tensor, uv: Tensor, border: int) -> tuple[Tensor, Tensor, Tens
     u, v = torch.where(valid, u, float(border)), torch.where(valid, v, float(border))
     left = u.detach().floor().clamp(max=width - 2 - border)
     top = v.detach().floor().clamp(max=height - 2 - border)
-    corner = (top.long() - border) * width + (left.long() - border)
-    steps = torch.arange(n, device=image.device)
-    index = corner[..., None, None] + steps[:, None] * width + steps  # (*B, ..., n, n)
-    cells = image.reshape(*batch, -1).gather(-1, index.reshape(*batch, -1)).reshape(index.shape)
+    corner = (top.long() - border) * width + (left.long() - border)  # (*B, ...)
+    step = torch.arange(n, device=image.device)
+    steps = (step[:, None] * width + step).reshape(n * n, *[1] * len(batch), 1)
+    index = corner.reshape(*batch, -1) + steps  # (n * n, *B, M)
+    pixels = image.reshape(*batch, -1).expand(n * n, *batch, -1)
+    cells = pixels.gather(-1, index).reshape(n, n, *corner.shape)
     return cells, u - left, v - top, valid
