@@ -85,7 +85,7 @@ def quaternion_from_rotation(R: Tensor) -> Tensor:
 def tum_line(timestamp: float, T_world_cam: Tensor) -> str:
     """One line of a TUM trajectory file: `timestamp tx ty tz qx qy qz qw`, with its line feed."""
     numbers = T_world_cam[:3, 3].tolist() + quaternion_from_rotation(T_world_cam[:3, :3]).tolist()
-    return f"{timestamp:.6f} " + " ".join(f"{number:.9f}" for number in numbers) + "\n"
+    return f"{timestamp:.6f} " + " ".join(f"{round(number, 9) + 0.0:.9f}" for number in numbers) + "\n"
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:

@@ -1,0 +1,132 @@
+"""The command idrgbdo: what can be asked for. What is then done stands in commands.py, imported when it is needed."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from tyro.conf import FlagConversionOff, Positional, arg, subcommand
+
+from . import __version__, configfile
+from .config import Config
+from .errors import IdRgbdoError
+from .synthetic.config import SynthConfig
+
+DESCRIPTION = """RGB-D odometry from a handful of informative points: a pose per frame, a map, and how certain they are.
+
+First look: `idrgbdo demo`. A recording in the TUM layout: `idrgbdo run FOLDER`."""
+
+Settings = Annotated[Config, arg(name=""), FlagConversionOff]
+
+
+@dataclass(frozen=True)
+class Input:
+    """How the recording is read."""
+
+    camera: Path | None = None  # TOML with fx, fy, cx, cy [k1 k2 p1 p2 k3]; else calibration.txt, else TUM's by name
+    associations: Path | None = None  # list `timestamp colour timestamp depth`; else images are paired by time
+    association_limit: configfile.NonNegative = 0.02  # s, between the two images of a pair
+    depth_scale: configfile.Positive | None = None  # depth values per metre; 5000 if the camera file does not say
+    start: configfile.Index = 0  # frames left out at the beginning
+    every: configfile.Count = 1  # take every n-th frame
+    max_frames: configfile.Count | None = None  # stop after so many
+
+
+@dataclass(frozen=True)
+class RunCommand:
+    """Track a recording and write trajectory, map and certainty into a folder."""
+
+    sequence: Positional[Path]  # folder with rgb.txt and depth.txt, as TUM publishes them
+    settings: Settings = field(default_factory=Config)
+    input: Annotated[Input, arg(name="")] = field(default_factory=Input)
+    config: Path | None = None  # TOML; its values are the defaults of the flags
+    out: Path | None = None  # folder for the results; else runs/<sequence>/<time>
+
+
+@dataclass(frozen=True)
+class EvaluateCommand:
+    """Compare a trajectory with a reference: ATE and RPE."""
+
+    estimate: Positional[Path]  # TUM text, or the folder of a run
+    groundtruth: Positional[Path]  # TUM text, or the folder of a recording
+    association_limit: configfile.Positive = 0.02  # s, between an estimated and a reference pose
+
+
+@dataclass(frozen=True)
+class SynthCommand:
+    """Render a sequence with exact poses into a folder in TUM's layout."""
+
+    out: Positional[Path]  # a new folder
+    scene: Annotated[SynthConfig, arg(name=""), FlagConversionOff] = field(default_factory=SynthConfig)
+
+
+@dataclass(frozen=True)
+class DemoCommand:
+    """Render a short sequence on first use, track it, and show how well that went. Needs no file and no network."""
+
+    settings: Settings = field(default_factory=Config)
+    config: Path | None = None  # TOML; its values are the defaults of the flags
+    out: Path | None = None  # folder for the results; else runs/demo/<time>
+
+
+Command = RunCommand | EvaluateCommand | SynthCommand | DemoCommand
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The exit status: 0, 1 after a known error (one line on stderr), 130 after Ctrl-C. Wrong flags exit with 2."""
+    try:
+        command = parse(list(sys.argv[1:] if argv is None else argv))
+        from . import commands
+
+        if isinstance(command, RunCommand):
+            return commands.run(command)
+        if isinstance(command, EvaluateCommand):
+            return commands.evaluate(command)
+        if isinstance(command, SynthCommand):
+            return commands.synth(command)
+        return commands.demo(command)
+    except IdRgbdoError as error:
+        print("error:", " ".join(str(error).split()), file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+
+
+def parse(argv: list[str]) -> Command:
+    """The command line as a command. Raises IdRgbdoError for wrong values, SystemExit(2) for wrong flags."""
+    if argv in (["--version"], ["-V"]):
+        print(f"idrgbdo {__version__}")
+        raise SystemExit(0)
+    settings = _base_settings(argv)
+    # tyro has one union of all commands, each with the defaults that --config gives
+    commands = (
+        Annotated[RunCommand, subcommand("run", default=RunCommand(tyro.MISSING, settings))]
+        | Annotated[EvaluateCommand, subcommand("evaluate")]
+        | Annotated[SynthCommand, subcommand("synth")]
+        | Annotated[DemoCommand, subcommand("demo", default=DemoCommand(settings))]
+    )
+    arguments = [re.sub(r"^(--[\w.-]+=)?(true|false)$", _capitalised, argument) for argument in argv] or ["--help"]
+    command: Command = tyro.cli(commands, prog="idrgbdo", description=DESCRIPTION, args=arguments)
+    configfile.check(command)
+    return command
+
+
+def _base_settings(argv: list[str]) -> Config:
+    """The defaults with the file after --config laid over them."""
+    for position, argument in enumerate(argv):
+        if argument.startswith("--config="):
+            return configfile.load(Path(argument.removeprefix("--config=")), Config())
+        if argument == "--config" and position + 1 < len(argv):
+            return configfile.load(Path(argv[position + 1]), Config())
+    return Config()
+
+
+def _capitalised(match: re.Match[str]) -> str:
+    """tyro writes booleans as Python does; people and TOML write them small."""
+    return (match[1] or "") + match[2].capitalize()

@@ -1,0 +1,151 @@
+"""What the commands do. Only here and in terminal.py is anything shown."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from . import __version__, configfile, datasets, odometry, synthetic
+from .config import Config
+from .errors import IdRgbdoError
+from .evaluation import Evaluation
+from .evaluation import evaluate as evaluate_trajectory
+from .frame import BrokenFrame, RgbdFrame
+from .odometry import Odometry, Record, Run
+from .runfolder import RunFolder, default_folder, is_refined, measurements
+from .terminal import Rows, evaluation_rows, progress_bar, run_rows, show_table, status_counter
+from .trajectory import Trajectory, read_tum
+
+if TYPE_CHECKING:
+    from .cli import DemoCommand, EvaluateCommand, RunCommand, SynthCommand
+
+DEMO = synthetic.SynthConfig(kind="desk", frames=90)
+INTERRUPTED = 128 + signal.SIGINT
+
+
+def run(command: RunCommand) -> int:
+    """Track a recording."""
+    options = command.input
+    sequence = datasets.open_sequence(
+        command.sequence,
+        camera=options.camera,
+        associations=options.associations,
+        depth_scale=options.depth_scale,
+        association_limit_s=options.association_limit,
+        start=options.start,
+        every=options.every,
+        max_frames=options.max_frames,
+    )
+    return _track(sequence, sequence.name, command.settings, command.out)
+
+
+def demo(command: DemoCommand) -> int:
+    """Render the demo's sequence unless it is in the cache, and track it."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "idrgbdo"
+    folder = cache / f"demo_{DEMO.kind}_{DEMO.frames}_{__version__}"
+    if not (folder / "rgb.txt").exists():
+        print(f"rendering {DEMO.frames} frames of a desk into {folder} (once)", flush=True)
+        _render(DEMO, folder)
+    return _track(datasets.open_sequence(folder), "demo", command.settings, command.out)
+
+
+def evaluate(command: EvaluateCommand) -> int:
+    """Compare two trajectories."""
+    estimate = read_tum(_file(command.estimate, "trajectory.txt"))
+    reference = read_tum(_file(command.groundtruth, "groundtruth.txt"))
+    evaluation = evaluate_trajectory(estimate, reference, max_difference_s=command.association_limit)
+    counts = f"{evaluation.matched_poses} of {len(estimate)} estimated, of {len(reference)} reference poses"
+    show_table(str(command.estimate), [*evaluation_rows(evaluation)[:-1], ("matched poses", counts)])
+    return 0
+
+
+def synth(command: SynthCommand) -> int:
+    """Render a sequence into a folder."""
+    _render(command.scene, command.out)
+    show_table("rendered", [("frames", str(command.scene.frames)), ("track it", f"idrgbdo run {command.out}")])
+    return 0
+
+
+def make_odometry(config: Config) -> Odometry:
+    """The method of this package."""
+    from .id_rgbdo import IdRgbdo
+
+    return IdRgbdo(config)
+
+
+def _track(sequence: datasets.RgbdSequence, title: str, config: Config, out: Path | None) -> int:
+    """Track a sequence into a run folder, evaluate it where there is ground truth, and show the table."""
+    for warning in sequence.warnings:
+        print("warning:", warning, file=sys.stderr)
+    method = make_odometry(config)
+    folder = RunFolder(out or default_folder(title, datetime.now()), configfile.dump(config))
+    count_statuses = status_counter()
+    with folder, stop_at_interrupt() as stopped, progress_bar(title, len(sequence)) as advance:
+
+        def on_record(record: Record) -> None:
+            folder.append(record)
+            advance(count_statuses(record))
+
+        done = odometry.run(method, _until(stopped, sequence), on_record)
+        evaluation, rows = _evaluated(done, method, sequence.groundtruth)
+        summary = folder.finish(done, method, evaluation)
+    looked_at = f"{title}, interrupted" if stopped else title
+    show_table(looked_at, [*run_rows(done, summary), *rows, ("results in", str(folder.path))])
+    return INTERRUPTED if stopped else 0
+
+
+def _evaluated(done: Run, method: Odometry, groundtruth: Trajectory | None) -> tuple[Evaluation | None, Rows]:
+    """The evaluation of a run's causal poses, and the rows to show; why not, where it cannot be evaluated."""
+    if groundtruth is None or not done.records:
+        return None, []
+    try:
+        evaluation = evaluate_trajectory(done.trajectory(), groundtruth, measurements(done))
+        rows = evaluation_rows(evaluation)
+        refined = method.trajectory()
+        if is_refined(refined, done):
+            after = evaluate_trajectory(refined, groundtruth)
+            rpe = f", RPE {after.rpe.rmse_m_per_s:.4f} m/s" if after.rpe else ""
+            rows.append(("refined", f"ATE {after.ate.rmse_m:.4f} m{rpe}"))
+        return evaluation, rows
+    except IdRgbdoError as error:
+        return None, [("not evaluated", str(error))]
+
+
+def _render(config: synthetic.SynthConfig, folder: Path) -> None:
+    with progress_bar("rendering", config.frames) as advance:
+        synthetic.synth(config, folder, lambda done, total: advance(""))
+
+
+def _file(path: Path, name: str) -> Path:
+    """The file itself, or the one of that name in a folder."""
+    return path / name if path.is_dir() else path
+
+
+@contextmanager
+def stop_at_interrupt() -> Iterator[list[int]]:
+    """The first Ctrl-C only appends to the list, so that no frame is torn by it; the second one raises as usual."""
+    stopped: list[int] = []
+
+    def stop(number: int, _: FrameType | None) -> None:
+        stopped.append(number)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield stopped
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _until(stopped: list[int], frames: Iterable[RgbdFrame | BrokenFrame]) -> Iterator[RgbdFrame | BrokenFrame]:
+    for frame in frames:
+        if stopped:
+            return
+        yield frame
