@@ -172,14 +172,17 @@ def residual_variance(h: Tensor, sigma2_phi: Tensor) -> Tensor:
     return h[..., None] * sigma2_phi
 
 
-def depth_residual(inverse_depth_target: Tensor, warped: Warp, agreement: float = AGREEMENT) -> DepthTerm:
+def depth_residual(
+    inverse_depth_target: Tensor, warped: Warp, agreement: float = AGREEMENT, gradient: Tensor | None = None
+) -> DepthTerm:
     """Measured minus warped inverse depth at the centre, r = d_target(p_i) - 1 / z_i in 1/m (after DVO and RGBDTAM).
 
     inverse_depth_target (*B, H, W) in 1/m, 0 where missing; sampled bilinearly where the four neighbours agree within
-    the fraction `agreement`, else invalid.
+    the fraction `agreement`, else invalid. gradient (..., 2) in 1/m per px replaces the derivative of the four
+    neighbours in the Jacobians: on a Kinect's depth that is mostly noise, so pass a smoother one where there is one.
     """
     measured, g, on_surface = sample_surface(inverse_depth_target, warped.centre, agreement)
-    g = g.to(warped.centre)
+    g = (g if gradient is None else gradient).to(warped.centre)
     valid = warped.valid & on_surface
     d = 1 / torch.where(valid, warped.P[..., 2], 1.0)
     r = measured - d

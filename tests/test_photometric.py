@@ -217,6 +217,20 @@ def test_depth_jacobians_against_autograd() -> None:
     torch.testing.assert_close(term.dr_dd, expected)
 
 
+def test_a_given_depth_gradient_replaces_the_sampled_one() -> None:
+    uv, d = points(SLANTED)
+    _, inverse_depth = render(T_TARGET_HOST, SLANTED)
+    warped = warp(CAMERA, uv, d, T_TARGET_HOST)
+    sampled = depth_residual(inverse_depth, warped)
+    R, t = T_TARGET_HOST[:3, :3], T_TARGET_HOST[:3, 3]
+    plane = R @ SLANTED / (1 + SLANTED @ R.mT @ t)  # n . P = 1 in the target, whose inverse depth is n . ray
+    given = depth_residual(inverse_depth, warped, gradient=plane[:2] / torch.tensor([CAMERA.fx, CAMERA.fy]))
+    torch.testing.assert_close(given.dr_dxi, sampled.dr_dxi)
+    torch.testing.assert_close(given.dr_dd, sampled.dr_dd)
+    flat = depth_residual(inverse_depth, warped, gradient=torch.zeros(2))
+    torch.testing.assert_close(flat.dr_dxi, warped.P[:, 2:] ** -2 * warped.dP_dxi[:, 2])
+
+
 def test_depth_residual_skips_holes_and_edges() -> None:
     uv, d = points(SLANTED)
     _, inverse_depth = render(T_TARGET_HOST, SLANTED)
