@@ -120,5 +120,5 @@ def _cells(image: Tensor, uv: Tensor, border: int) -> tuple[Tensor, Tensor, Tens
     steps = (step[:, None] * width + step).reshape(n * n, *[1] * len(batch), 1)
     index = corner.reshape(*batch, -1) + steps  # (n * n, *B, M)
     pixels = image.reshape(*batch, -1).expand(n * n, *batch, -1)
-    cells = pixels.gather(-1, index).reshape(n, n, *corner.shape)
+    cells = pixels.gather(-1, index).reshape(n, n, *corner.shape).to(torch.promote_types(image.dtype, uv.dtype))
     return cells, u - left, v - top, valid
