@@ -33,7 +33,7 @@ class Layout:
         return float(np.sqrt(dx**2 + dy**2 + np.clip(dz, 0, None) ** 2).min())
 
     def is_free(self, x: float, y: float, radius: float, top: float, near: float = 0.6) -> bool:
-        """Whether a thing of this radius and top fits here: inside the room, off the camera's path, off its neighbours."""
+        """Whether a thing of this radius and top fits: inside the room, off the camera's path, off its neighbours."""
         place = np.array([x, y])
         inside = (self.low[:2] + radius < place).all() and (place < self.high[:2] - radius).all()
         if not inside or self.distance(x, y, top) < radius + near:
@@ -52,7 +52,7 @@ class Layout:
 
 
 def places_seen(positions: Array, rotations: Array, z: float, rng: Rng, count: int) -> Array:
-    """(count, 2) places under random pixels of random frames: at height z, or 1 to 2.2 m away if that is never reached."""
+    """(count, 2) places under random pixels of random frames: at height z, or 1 to 2.2 m away if z is not reached."""
     i = rng.integers(0, len(positions), count)
     pixel = np.c_[rng.uniform(-0.5, 0.5, count), rng.uniform(-0.3, 0.4, count), np.ones(count)]
     ray = np.einsum("nij,nj->ni", rotations[i], pixel)

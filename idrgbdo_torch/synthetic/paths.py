@@ -53,11 +53,12 @@ def quaternion(R: Array) -> Array:
     return -q if q[3] < 0 else q
 
 
-def recorded_path(file: Path, start: float, duration: float, smoothing_s: float = 0.04) -> CameraPath:
+def recorded_path(file: Path, start: float, duration: float) -> CameraPath:
     """The part [start, start + duration] (s) of a TUM trajectory file as a smooth path.
 
-    Motion capture jitters by millimetres, which no hand does: positions and quaternions are resampled and smoothed by a
-    Gaussian of smoothing_s. Time stamps that count frames (0, 1, 2, ...) are read as 30 per second.
+    Recorded poses jitter by millimetres, which no hand does: positions and quaternions are resampled and smoothed by a
+    Gaussian of 40 ms, or of two sampling intervals where poses are sparse. Time stamps that count
+    frames (0, 1, 2, ...) are read as 30 per second.
     Raises IdRgbdoError where the file is missing, malformed, or shorter than asked.
     """
     try:
@@ -68,12 +69,14 @@ def recorded_path(file: Path, start: float, duration: float, smoothing_s: float 
         ) from error
     if rows.shape[0] < 2 or rows.shape[1] < 8 or not np.isfinite(rows).all():
         raise IdRgbdoError(
-            f"trajectory: expected at least 2 finite rows of 8 numbers, got {rows.shape} in {file}; give a TUM trajectory"
+            f"trajectory: expected at least 2 finite rows of 8 numbers, got {rows.shape} in {file}; "
+            "give a TUM trajectory"
         )
     t, keep = np.unique(rows[:, 0], return_index=True)
     rows = rows[keep]
     if np.array_equal(t, np.round(t)) and np.median(np.diff(t)) == 1.0:
         t = t / 30.0
+    smoothing_s = max(0.04, 2.0 * float(np.median(np.diff(t))))
     first, last = t[0] + start, t[0] + start + duration
     if start < 0 or last > t[-1]:
         raise IdRgbdoError(
@@ -106,8 +109,8 @@ def handheld_path(duration: float, seed: int) -> CameraPath:
         phase = rng.uniform(0, 2 * np.pi, 6)
         return np.asarray((amplitude[:, None] * np.sin(2 * np.pi * hz[:, None] * t + phase[:, None])).sum(0))
 
-    positions = np.stack([sway(0.30, 0.006), sway(0.22, 0.006), 1.45 + sway(0.12, 0.006)], axis=1)
-    yaw, pitch, roll = sway(0.35, 0.012), -0.45 + sway(0.12, 0.012), sway(0.06, 0.01)
+    positions = np.stack([sway(0.30, 0.003), sway(0.22, 0.003), 1.45 + sway(0.12, 0.003)], axis=1)
+    yaw, pitch, roll = sway(0.35, 0.007), -0.45 + sway(0.12, 0.007), sway(0.06, 0.006)
     # camera x right, y down, z forward; at yaw 0 it looks along world +y
     zero, one = np.zeros_like(t), np.ones_like(t)
     base = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])

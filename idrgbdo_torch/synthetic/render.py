@@ -11,7 +11,8 @@ from numba import njit
 
 from ..open3d_loader import load_open3d
 from .config import SynthConfig
-from .world import FULL, LEVELS, Array, Floats, World
+from .surfaces import Array
+from .world import FULL, LEVELS, Floats, World
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from .world import GAMMA, Floats
 MID = 0.5**GAMMA  # linear radiance that gives half of the gray range
 SHADOW_PX = 0.7  # disparity by which the nearer surface must reach over a point to hide it from the projector
 GRAZING = 0.17  # cosine below which nothing comes back
-JUMP = 0.02  # relative depth step that the matcher smears
+JUMP = 0.005  # relative departure from the neighbours' mean depth at which the matcher fails
 Rng = np.random.Generator
 
 
@@ -29,8 +29,8 @@ def exposure_gain(t: float, config: SensorConfig, seed: int) -> float:
 def develop(radiance: Floats, gain: float, config: SensorConfig, rng: Rng) -> npt.NDArray[np.uint8]:
     """(H, W, 3) uint8 colours of linear radiance (1 = white): gain, shot and read noise, gamma.
 
-    The shot noise is scaled so that a channel's deviation at mid gray is config.noise_gray; the read noise is a sixth of
-    it there, and what is left in the dark.
+    The shot noise is scaled so that a channel's deviation at mid gray is config.noise_gray; the read noise is a sixth
+    of it there, and what is left in the dark.
     """
     linear = radiance * np.float32(gain)
     if config.color_noise:
@@ -43,39 +43,33 @@ def develop(radiance: Floats, gain: float, config: SensorConfig, rng: Rng) -> np
 
 def measure(seen: Depth, config: SensorConfig, rng: Rng) -> npt.NDArray[np.uint16]:
     """(H, W) uint16 depth, 5000 per metre, 0 where the sensor gives none."""
-    true, valid = seen.depth, seen.depth > 0
-    if config.depth_holes:
-        true, valid = _holes(seen, config, rng)
-    disparity = config.focal_baseline / np.where(true > 0, true, 1.0)
+    depth, valid = _holes(seen, config, rng) if config.depth_holes else (seen.depth, seen.depth > 0)
+    disparity = config.focal_baseline / np.where(depth > 0, depth, 1.0)
     if config.depth_noise:
-        disparity = disparity + config.sigma_disparity * _smooth_noise(true.shape, 1.2, rng)
+        disparity = disparity + config.sigma_disparity * _smooth_noise(depth.shape, 1.2, rng)
     if config.depth_quantisation:
         disparity = np.round(disparity / config.disparity_step) * config.disparity_step
     if config.depth_noise or config.depth_quantisation:
-        true = config.focal_baseline / np.maximum(disparity, config.disparity_step)
+        depth = (config.focal_baseline / np.maximum(disparity, config.disparity_step)).astype(np.float32)
     if config.depth_range:
-        valid = valid & (true >= config.range_min_m) & (true <= config.range_max_m)
-    counts = np.round(np.asarray(true, np.float64) * 5000.0)
+        valid = valid & (depth >= config.range_min_m) & (depth <= config.range_max_m)
+    counts = np.round(depth.astype(np.float64) * 5000.0)
     return np.where(valid & (counts <= 65535), counts, 0).astype(np.uint16)
 
 
 def _holes(seen: Depth, config: SensorConfig, rng: Rng) -> tuple[Floats, npt.NDArray[np.bool_]]:
     """Depth with ragged borders, and where the projector's pattern is seen at all.
 
-    The projector stands to the right of the camera: in its image a point stands f b / z further left, so the surface behind
-    a near object's left border lies in shadow. The matcher's window smears and drops the depth at jumps.
+    The projector stands to the right of the camera: in its image a point stands f b / z further left, so the surface
+    behind a near object's left border lies in shadow. The matcher's window smears and drops the depth at jumps.
     """
     h, w = seen.depth.shape
     wobble = [_smooth_noise((h, w), 1.0, rng) for _ in range(2)]
     x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
-    depth = cv2.remap(
-        seen.depth, x + wobble[0], y + 0.7 * wobble[1], cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE
-    )
-    low, high = cv2.erode(depth, np.ones((3, 3))), cv2.dilate(depth, np.ones((3, 3)))
-    jump = (high - low > JUMP * low).astype(np.uint8)
-    # a tilted plane has steps too: a jump is where depth departs from its neighbours' mean
-    bend = np.abs(depth - cv2.blur(depth, (3, 3))) > 0.25 * JUMP * depth
-    dropped = (jump > 0) & bend & (rng.random((h, w), dtype=np.float32) < 0.7)
+    where = (x + wobble[0], y + 0.7 * wobble[1])
+    depth = cv2.remap(seen.depth, *where, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+    jump = np.abs(depth - cv2.blur(depth, (3, 3))) > JUMP * depth  # a tilted plane has steps too, but no such bend
+    dropped = jump & (rng.random((h, w), dtype=np.float32) < 0.7)
     at_projector = x - config.focal_baseline / np.maximum(seen.depth, 0.1)
     nearest = np.minimum.accumulate(at_projector[:, ::-1], axis=1)[:, ::-1]
     shadow = at_projector > nearest + SHADOW_PX

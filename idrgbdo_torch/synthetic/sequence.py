@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from ..errors import IdRgbdoError
 from .config import SynthConfig
-from .layout import scene_from_world
 from .paths import Array, CameraPath, handheld_path, quaternion, recorded_path
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ class Shot:
 
 @dataclass(frozen=True)
 class RenderedSequence:
-    """Frames of a rendered scene along a known path, made when asked for; any frame, in any order, gives the same bits."""
+    """Frames of a rendered scene along a known path, made when asked for: the same bits in any order."""
 
     config: SynthConfig
 
@@ -106,6 +105,8 @@ class RenderedSequence:
     @cached_property
     def T_scene_world(self) -> Array:
         """(4, 4): the scene is built with z up around the middle of the path."""
+        from .layout import scene_from_world
+
         return scene_from_world(self.T_world_cam)
 
     @cached_property
@@ -116,7 +117,7 @@ class RenderedSequence:
 
         c = self.config
         scene = build_scene(c.kind, self.T_scene_world @ self.T_world_cam, c.seed)
-        return Renderer(build_world(scene.surfaces, scene.low, scene.high, c.threads), c)
+        return Renderer(build_world(scene, c.seed, c.fx / 525.0, c.threads), c)
 
     @cached_property
     def exposure(self) -> float:

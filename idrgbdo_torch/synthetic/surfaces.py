@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .textures import Image
+from .textures import Image, Rng
 
 Array = npt.NDArray[np.float64]
-Paint = Callable[[int, int, float], Image]  # rows, columns, texels per metre -> albedo (rows, columns, 3)
+Paint = Callable[[int, int, Rng, float], Image]  # rows, columns, random, texels per metre -> albedo (rows, columns, 3)
 
 
 @dataclass(frozen=True)
@@ -19,16 +19,15 @@ class Surface:
     """A bent sheet: grid (R, C, 3) in metres, rows downwards and columns to the right as one looks at its front."""
 
     grid: Array
-    albedo: Image  # (h, w, 3) display values 0..1, spread evenly over the grid
-    density: float  # texels per metre
+    paint: Paint
+    density: float  # texels per metre, for a camera of 525 px focal length
 
-
-def sheet(grid: Array, paint: Paint, density: float) -> Surface:
-    """A surface of this shape, painted at about `density` texels per metre."""
-    across = np.linalg.norm(np.diff(grid, axis=1), axis=2).sum(1).max()
-    down = np.linalg.norm(np.diff(grid, axis=0), axis=2).sum(0).max()
-    rows, cols = (max(int(np.ceil(length * density)), 4) for length in (down, across))
-    return Surface(grid=grid, albedo=paint(rows, cols, density), density=density)
+    @property
+    def size(self) -> tuple[float, float]:
+        """Greatest length in metres along the columns (down) and the rows (across)."""
+        down = np.linalg.norm(np.diff(self.grid, axis=0), axis=2).sum(0).max()
+        across = np.linalg.norm(np.diff(self.grid, axis=1), axis=2).sum(1).max()
+        return float(down), float(across)
 
 
 def rectangle(top_left: npt.ArrayLike, right: npt.ArrayLike, down: npt.ArrayLike) -> Array:
@@ -38,7 +37,7 @@ def rectangle(top_left: npt.ArrayLike, right: npt.ArrayLike, down: npt.ArrayLike
 
 
 def box(center: npt.ArrayLike, size: npt.ArrayLike, yaw: float) -> list[Array]:
-    """Five grids of a box that stands upright, without its bottom: top first, then four sides. `center` is of its base."""
+    """Five grids of an upright box without bottom: its top, then four sides; `center` is of its base."""
     c = np.asarray(center, np.float64)
     sx, sy, h = np.asarray(size, np.float64)
     ex, ey = turned(yaw)

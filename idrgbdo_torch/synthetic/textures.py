@@ -1,4 +1,4 @@
-"""Procedural albedo textures: (h, w, 3) float32 in 0..1 (display values), features sized in metres by `density` texels/m."""
+"""Procedural albedo textures: (h, w, 3) float32 display values 0..1; `density` (texels/m) sizes features in metres."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def fractal(h: int, w: int, rng: Rng, coarsest: float, persistence: float = 0.75
         A = np.array([[1 / size, 0, shift[0]], [0, 1 / size, shift[1]]])
         total += amplitude * cv2.warpAffine(grid, A, (w, h), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
         size, amplitude = size / 2, amplitude * persistence
-    return (total - total.mean()) / max(float(total.std()), 1e-6)
+    return np.asarray((total - total.mean()) / max(float(total.std()), 1e-6), np.float32)
 
 
 def tinted(noise: Image, color: npt.ArrayLike, contrast: float) -> Image:
@@ -32,10 +32,10 @@ def tinted(noise: Image, color: npt.ArrayLike, contrast: float) -> Image:
 def random_color(rng: Rng, low: float = 0.1, high: float = 0.9, saturation: float = 0.6) -> Image:
     """(3,) a colour of random brightness, pulled towards gray by 1 - saturation."""
     c = rng.uniform(low, high, 3)
-    return (c.mean() + saturation * (c - c.mean())).astype(np.float32)
+    return np.asarray(c.mean() + saturation * (c - c.mean()), np.float32)
 
 
-def plain(h: int, w: int, rng: Rng, density: float, color: npt.ArrayLike, contrast: float = 0.015) -> Image:
+def plain(h: int, w: int, rng: Rng, density: float, color: npt.ArrayLike, contrast: float = 0.02) -> Image:
     """A painted surface: a colour with weak, large stains."""
     small = fractal(max(h // 8, 2), max(w // 8, 2), rng, max(0.5 * density / 8, 2.0), 0.5)
     return tinted(cv2.resize(small, (w, h), interpolation=cv2.INTER_LINEAR), color, contrast)
@@ -53,24 +53,25 @@ def wood(h: int, w: int, rng: Rng, density: float, color: npt.ArrayLike) -> Imag
     board = (np.arange(h) / (0.12 * density)).astype(int)
     shade = (1 + 0.12 * rng.standard_normal(board.max() + 1)).astype(np.float32)[board]
     seam = np.where(np.diff(board, prepend=board[0]) > 0, 0.45, 1.0).astype(np.float32)
-    return np.clip(tinted(grain, color, 0.16) * (shade * seam)[:, None, None], 0, 1).astype(np.float32)
+    boards = tinted(grain, color, 0.16) * (shade * seam)[:, None, None]
+    return np.asarray(np.clip(boards, 0, 1), np.float32)
 
 
-def checker(h: int, w: int, rng: Rng, density: float, period_m: float = 0.05) -> Image:
+def checker(h: int, w: int, rng: Rng, density: float, period_m: float = 0.04) -> Image:
     """Chess board of two colours with some wear."""
     step = max(period_m * density, 3.0)
     odd = ((np.arange(h) // step)[:, None] + (np.arange(w) // step)[None]) % 2
     a, b = random_color(rng, 0.05, 0.4), random_color(rng, 0.55, 0.95)
     image = np.where(odd[..., None] > 0, a, b).astype(np.float32)
-    return tinted(fractal(h, w, rng, max(0.1 * density, 2.0)), 1.0, 0.06) * image
+    return np.asarray(tinted(fractal(h, w, rng, max(0.1 * density, 2.0)), 1.0, 0.06) * image, np.float32)
 
 
-def stripes(h: int, w: int, rng: Rng) -> Image:
-    """Bands of random widths and colours along the rows, as on tins and spines."""
-    image = np.empty((h, w, 3), np.float32)
+def stripes(h: int, w: int, rng: Rng, density: float) -> Image:
+    """Bands of random widths and colours along the rows, as on tins and balls."""
+    image = tinted(fractal(h, w, rng, max(0.1 * density, 2.0)), np.ones(3), 0.05)
     edges = np.sort(rng.integers(0, h, int(rng.integers(3, 8))))
     for top, bottom in zip(np.r_[0, edges], np.r_[edges, h], strict=True):
-        image[top:bottom] = random_color(rng)
+        image[top:bottom] *= random_color(rng)
     return image
 
 
@@ -132,6 +133,14 @@ def draw_shapes(image: Image, rng: Rng, count: int) -> None:
             angle, reach = rng.uniform(0, 2 * np.pi), 2.5 * r
             end = (int(center[0] + reach * np.cos(angle)), int(center[1] + reach * np.sin(angle)))
             cv2.line(image, center, end, color, max(int(r / 6), 1), cv2.LINE_AA)
+
+
+def label(h: int, w: int, rng: Rng, density: float) -> Image:
+    """A tin's: stripes, shapes and a line of text."""
+    image = stripes(h, w, rng, density)
+    draw_shapes(image, rng, 5)
+    write_text(image[h // 3 : 2 * h // 3], rng, density, 0.02, random_color(rng, 0.0, 1.0))
+    return image
 
 
 def cover(h: int, w: int, rng: Rng, density: float) -> Image:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..open3d_loader import load_open3d
+from .scenes import Scene
 from .surfaces import Array, Surface
 
 Floats = npt.NDArray[np.float32]
@@ -33,8 +34,9 @@ class World:
     white: float  # radiance that is stored as FULL
 
 
-def build_world(surfaces: list[Surface], low: Array, high: Array, threads: int = 1) -> World:
-    """Tessellate, light and store the surfaces of a room between the corners low and high (3,)."""
+def build_world(scene: Scene, seed: int, detail: float = 1.0, threads: int = 1) -> World:
+    """Tessellate, light and paint a scene; detail scales the textures' resolution (1 for a focal length of 525 px)."""
+    surfaces = scene.surfaces
     o3d = load_open3d()
     vertices, triangles, uv, owner = _tessellate(surfaces)
     caster = o3d.t.geometry.RaycastingScene(nthreads=threads)
@@ -45,20 +47,15 @@ def build_world(surfaces: list[Surface], low: Array, high: Array, threads: int =
     corners = vertices[triangles]
     normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 1] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    light = _bake(surfaces, caster, o3d, low, high, threads)
-    lit = []
-    for surface, field in zip(surfaces, light, strict=True):
-        h, w = surface.albedo.shape[:2]
-        smooth = cv2.resize(field, (w, h), interpolation=cv2.INTER_LINEAR)
-        lit.append(np.power(surface.albedo, GAMMA) * smooth[..., None])
-    white = max(float(image.max()) for image in lit)
-    tables, texels = _mip_maps(lit, white)
+    light = _bake(scene, caster, o3d, threads)
+    white = max(float(field.max()) for field in light)
+    tables, texels = _mip_maps(surfaces, light, white, seed, detail)
     return World(
         caster=caster,
         uv=uv.astype(np.float32),
         normal=normal.astype(np.float32),
         surface=owner,
-        density=np.array([s.density for s in surfaces], np.float32),
+        density=np.array([s.density * detail for s in surfaces], np.float32),
         tables=tables,
         texels=texels,
         white=white,
@@ -88,13 +85,12 @@ def _tessellate(surfaces: list[Surface]) -> tuple[Array, Ints, Array, Ints]:
     return np.concatenate(vertices), np.concatenate(triangles), np.concatenate(uv), np.concatenate(owner)
 
 
-def _bake(surfaces: list[Surface], caster: Any, o3d: Any, low: Array, high: Array, threads: int) -> list[Floats]:
+def _bake(scene: Scene, caster: Any, o3d: Any, threads: int) -> list[Floats]:
     """Irradiance of each surface on a coarse grid: lamp and window with soft shadows, and occluded ambient light."""
     sizes, points, normals = [], [], []
-    for surface in surfaces:
-        h, w = surface.albedo.shape[:2]
-        cell = 0.04 if max(h, w) / surface.density > 0.6 else 0.02
-        rows, cols = (int(np.clip(n / surface.density / cell, 4, 160)) for n in (h, w))
+    for surface in scene.surfaces:
+        cell = 0.04 if max(surface.size) > 0.6 else 0.02
+        rows, cols = (int(np.clip(length / cell, 4, 160)) for length in surface.size)
         s, t = (np.arange(n) + 0.5 for n in (rows, cols))
         P, N = _on_grid(surface.grid, s / rows, t / cols)
         sizes.append((rows, cols))
@@ -108,6 +104,7 @@ def _bake(surfaces: list[Surface], caster: Any, o3d: Any, low: Array, high: Arra
         return ~np.asarray(caster.test_occlusions(rays, tnear=0.0, tfar=far, nthreads=threads).numpy(), bool)
 
     light = np.zeros(len(P))
+    low, high = scene.low, scene.high
     middle, size = (low + high) / 2, high - low
     grid = (np.arange(4) + 0.5) / 4 - 0.5
     lamp = np.array([[x * 1.2, y * 1.2, 0] for x in grid for y in grid]) + [middle[0], middle[1], high[2] - 0.15]
@@ -150,18 +147,24 @@ def _on_grid(grid: Array, s: Array, t: Array) -> tuple[Array, Array]:
     return P, normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
 
 
-def _mip_maps(images: list[Floats], white: float) -> tuple[Ints, npt.NDArray[np.uint16]]:
-    """All levels of all textures in one list of texels, and where each begins."""
-    tables = np.zeros((len(images), LEVELS, 3), np.int64)
+def _mip_maps(
+    surfaces: list[Surface], light: list[Floats], white: float, seed: int, detail: float
+) -> tuple[Ints, npt.NDArray[np.uint16]]:
+    """All levels of all lit textures in one list of texels (N, 3), and where each begins."""
+    tables = np.zeros((len(surfaces), LEVELS, 3), np.int64)
     parts, start = [], 0
-    for index, image in enumerate(images):
-        level_image = image
+    for index, (surface, field) in enumerate(zip(surfaces, light, strict=True)):
+        density = surface.density * detail
+        h, w = (max(int(np.ceil(length * density)), 4) for length in surface.size)
+        albedo = surface.paint(h, w, np.random.default_rng([seed, 5, index]), density)
+        irradiance = cv2.resize(field, (w, h), interpolation=cv2.INTER_LINEAR) * np.float32(FULL / white)
+        image = cv2.pow(albedo, GAMMA) * irradiance[..., None]
         for level in range(LEVELS):
-            h, w = level_image.shape[:2]
+            h, w = image.shape[:2]
             tables[index, level] = start, h, w
-            parts.append((level_image.reshape(-1, 3) * (FULL / white) + 0.5).astype(np.uint16))
+            parts.append((image.reshape(-1, 3) + np.float32(0.5)).astype(np.uint16))
             start += h * w
             if h > 1 or w > 1:
                 half = (max(w // 2, 1), max(h // 2, 1))
-                level_image = cv2.resize(level_image, half, interpolation=cv2.INTER_AREA)
+                image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
     return tables, np.concatenate(parts)
