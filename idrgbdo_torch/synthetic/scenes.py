@@ -153,13 +153,13 @@ def _papered_wall(h: int, w: int, rng: Rng, density: float) -> Image:
 
 
 def _bare_wall(h: int, w: int, rng: Rng, density: float) -> Image:
-    """A skirting board and two blank boards, of nearly the wall's colour."""
+    """A skirting board and a few blank boards, of nearly the wall's colour."""
     image = tx.plain(h, w, rng, density, tx.random_color(rng, 0.62, 0.72, 0.15), 0.03)
     image[-max(int(0.08 * density), 1) :] *= 0.75
-    for _ in range(2):
+    for _ in range(max(2, round(0.5 * h * w / density**2))):
         rows, cols = (int(density * rng.uniform(0.3, 0.7)) for _ in range(2))
         y, x = int(rng.uniform(0.1, 0.5) * h), int(rng.uniform(0.0, 1.0) * max(w - cols, 1))
-        image[y : y + rows, x : x + cols] *= 0.88
+        image[y : y + rows, x : x + cols] *= 0.86
     return image
 
 

@@ -44,20 +44,29 @@ class RenderedSequence:
 
     def __iter__(self) -> Iterator[RgbdFrame]:
         for index in range(len(self)):
-            yield self[index]
+            yield self.read(index)
 
-    def __getitem__(self, index: int) -> RgbdFrame:
-        """Frame `index`, the same as reading it back from write_tum's folder."""
+    @property
+    def name(self) -> str:
+        return f"{self.config.kind}_{self.config.trajectory.stem if self.config.trajectory else 'handheld'}"
+
+    @property
+    def warnings(self) -> list[str]:
+        """Nothing to warn of."""
+        return []
+
+    def read(self, index: int) -> RgbdFrame:
+        """Frame `index`, rendered now; the same as reading it back from write_tum's folder."""
         import cv2
         import torch
 
         from ..frame import RgbdFrame
 
         shot = self.shot(index)
-        gray = cv2.cvtColor(shot.color, cv2.COLOR_RGB2GRAY).astype(np.float32)
+        gray = cv2.cvtColor(shot.color.astype(np.float32), cv2.COLOR_RGB2GRAY)  # ITU-R BT.601
         depth = shot.depth.astype(np.float32) / np.float32(DEPTH_SCALE)
         return RgbdFrame(
-            timestamp=float(self.timestamps[index]),
+            timestamp=self.timestamps[index],
             gray=torch.from_numpy(gray),
             depth=torch.from_numpy(depth),
             camera=self.camera,
@@ -81,11 +90,11 @@ class RenderedSequence:
         return recorded_path(c.trajectory, c.start, duration)
 
     @cached_property
-    def timestamps(self) -> Array:
-        """(N,) s, centres of the exposures, whole microseconds."""
+    def timestamps(self) -> list[float]:
+        """Centres of the exposures in s, whole microseconds."""
         c = self.config
         first = self.path.first + (c.start if c.trajectory is None else 0.0)
-        return np.asarray(np.round(first + np.arange(c.frames) / c.rate, 6))
+        return [round(first + index / c.rate, 6) for index in range(c.frames)]
 
     @cached_property
     def T_world_cam(self) -> Array:
@@ -99,7 +108,8 @@ class RenderedSequence:
         from ..trajectory import Trajectory
 
         return Trajectory(
-            timestamps=torch.from_numpy(self.timestamps.copy()), T_world_cam=torch.from_numpy(self.T_world_cam.copy())
+            timestamps=torch.tensor(self.timestamps, dtype=torch.float64),
+            T_world_cam=torch.from_numpy(self.T_world_cam.copy()),
         )
 
     @cached_property
@@ -136,9 +146,9 @@ class RenderedSequence:
         if not 0 <= index < len(self):
             raise IndexError(f"frame {index} of {len(self)}")
         c, s = self.config, self.config.sensor
-        t = float(self.timestamps[index])
+        t = self.timestamps[index]
         radiance = self.renderer.radiance(self._pose, t, s.exposure_s if s.motion_blur else 0.0)
-        gain = self.exposure * exposure_gain(t - float(self.timestamps[0]), s, c.seed)
+        gain = self.exposure * exposure_gain(t - self.timestamps[0], s, c.seed)
         light, range_noise = (np.random.default_rng([c.seed, index, stream]) for stream in (2, 3))
         return Shot(
             color=develop(radiance, gain, s, light),
