@@ -1,0 +1,24 @@
+"""What a comparison needs to know of a method. Imports nothing heavy, so that a list of methods costs nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .odometry import Odometry
+
+
+@dataclass(frozen=True)
+class Method:
+    """One row of a comparison: how to make the odometry, and what to say of it."""
+
+    description: str  # one line
+    make: Callable[[int], Odometry]  # from a seed; a function of a module, so that another process can make it too
+    random: bool = False  # whether the seed matters
+    settings: Callable[[], str] = str  # text of everything that was configured; part of the key of a result
+    libraries: tuple[str, ...] = ("torch",)  # distributions whose version is part of that key too
+
+
+Methods = Mapping[str, Method]
