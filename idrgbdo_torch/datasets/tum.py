@@ -89,7 +89,7 @@ class TumSequence:
         if self._undistortion is not None:
             color, depth = self._undistortion.color(color), self._undistortion.depth(depth)
         gray = cv2.cvtColor(color.astype(np.float32), cv2.COLOR_BGR2GRAY)  # ITU-R BT.601
-        depth_m = np.where(depth == SATURATED, np.float32(0), depth * np.float32(1 / self.depth_scale))
+        depth_m = np.where(depth == SATURATED, np.float32(0), depth / np.float32(self.depth_scale))
         return RgbdFrame(
             timestamp=timestamp,
             gray=torch.from_numpy(gray),  # (H, W)
