@@ -54,5 +54,10 @@ METHODS: dict[str, Method] = {
     "opencv-rgb": _of("opencv", "OpenCV, photometric", "RGB", libraries=OPENCV),
     "opencv-depth": _of("opencv", "OpenCV, ICP", "DEPTH", libraries=OPENCV),
     "opencv-rgb-depth": _of("opencv", "OpenCV, photometric and ICP", "RGB_DEPTH", libraries=OPENCV),
+    "dense": _of("dense", "dense photometric and depth alignment, after DVO"),
+    "features": _of(
+        "features", "ORB features, PnP and a small local map, after ORB-SLAM2", libraries=("torch", *OPENCV)
+    ),
+    "edges": _of("edges", "edge alignment, after Canny-VO", libraries=("torch", *OPENCV)),
     "constant-velocity": _of("null", "null baseline: never looks at an image"),
 }

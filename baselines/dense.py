@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 import torch.nn.functional as F
@@ -20,8 +21,6 @@ from idrgbdo_torch.se3 import exp, inverse, log
 from idrgbdo_torch.solver import solve
 
 from .keyframes import Fit, Keyframe, KeyframeOdometry, KeyframeRule
-
-GRAY_CHANNEL, DEPTH_CHANNEL = slice(0, 3), slice(3, 6)  # of Level.images: value, gradient right, gradient down
 
 
 @dataclass(frozen=True)
@@ -42,13 +41,18 @@ class DenseConfig:
 
 @dataclass(frozen=True)
 class Level:
-    """One pyramid level of a frame, and its pixels with depth as a point list, for when it becomes a keyframe."""
+    """One pyramid level of a frame."""
 
     camera: Pinhole
     images: Tensor  # (1, 6, H, W) float32: gray, its gradient, inverse depth, its gradient; NaN where there is no depth
-    P: Tensor  # (N, 3) float32 m
-    gray: Tensor  # (N,)
-    gray_gradient: Tensor  # (N, 2) gray levels per px
+
+    @cached_property
+    def points(self) -> tuple[Tensor, Tensor]:
+        """For a keyframe: points (N, 3) in m and gray, gradient (3, N) of all pixels on surfaces."""
+        v, u = torch.nonzero(torch.isfinite(self.images[0].sum(0)), as_tuple=True)
+        pixels, c = self.images[0, :, v, u], self.camera  # (6, N)
+        z = 1 / pixels[3]
+        return torch.stack([(u - c.cx) / c.fx * z, (v - c.cy) / c.fy * z, z], dim=-1), pixels[:3]
 
 
 class DenseFront:
@@ -70,7 +74,7 @@ class DenseFront:
             level: _level(frame.camera.at_level(level), grays[level], inverse_depths[level], config.jump)
             for level in config.levels
         }
-        pixels = len(levels[config.levels[-1]].P)
+        pixels = int(torch.isfinite(levels[config.levels[-1]].images[0, 4:].sum(0)).sum())
         return levels if pixels >= config.min_pixels else f"only {pixels} pixels have a usable depth"
 
     def fit(self, keyframes: Sequence[Keyframe[dict[int, Level]]], current: dict[int, Level], guess: Tensor) -> Fit:
@@ -96,7 +100,7 @@ class DenseFront:
                 T, affine = exp(step.y[:6]) @ T, affine + step.y[6:]
                 if float(step.y[:6].abs().max()) < config.tolerance * 2.0 ** (level - config.levels[-1]):
                     break
-        share = pixels / len(keyframe.data[config.levels[-1]].P)
+        share = pixels / len(keyframe.data[config.levels[-1]].points[0])
         return Fit(T @ inverse(keyframe.T_world_cam), "", H[:6, :6], pixels, iterations, share)
 
 
@@ -111,11 +115,7 @@ def _level(camera: Pinhole, gray: Tensor, inverse_depth: Tensor, jump: float) ->
     g_d[:, 0], g_d[:, -1], g_d[:, :, 0], g_d[:, :, -1] = (torch.nan for _ in range(4))
     g_d = torch.where(g_d.abs().amax(0) < jump * d, g_d, torch.nan)
     images = torch.cat([gray[None], gradient(gray), d[None], g_d])  # (6, H, W)
-    v, u = torch.nonzero(torch.isfinite(images.sum(0)), as_tuple=True)
-    pixels = images[:, v, u]  # (6, N)
-    z = 1 / pixels[3]
-    P = torch.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], dim=-1)
-    return Level(camera, images[None], P, pixels[0], pixels[1:3].T.contiguous())
+    return Level(camera, images[None])
 
 
 def _halve_surfaces(inverse_depth: Tensor, jump: float) -> Tensor:
@@ -136,7 +136,8 @@ def _linearise(reference: Level, current: Level, T: Tensor, affine: Tensor, occl
     """
     c, (height, width) = current.camera, current.images.shape[2:]
     R, t = T[:3, :3].float(), T[:3, 3].float()
-    P = reference.P @ R.T + t
+    P, gray = reference.points
+    P = P @ R.T + t
     x, y, z = P.unbind(-1)
     iz = 1 / z
     u, v = c.fx * x * iz + c.cx, c.fy * y * iz + c.cy
@@ -145,12 +146,12 @@ def _linearise(reference: Level, current: Level, T: Tensor, affine: Tensor, occl
     inside = (z > 0.1) & (u > 1) & (v > 1) & (u < width - 2) & (v < height - 2)
     same = (sampled[3] - iz).abs() < occlusion * iz  # false for NaN
     seen = torch.nonzero(inside & same & torch.isfinite(sampled[4] + sampled[5]))[:, 0]
-    sampled, gray, g = sampled[:, seen], reference.gray[seen], reference.gray_gradient[seen]
+    sampled, (gray, g_u0, g_v0) = sampled[:, seen], gray[:, seen]
     x, y, z, iz = x[seen], y[seen], z[seen], iz[seen]
     gain, offset = 1 + float(affine[0]), float(affine[1])
     r = torch.stack([sampled[0] - gain * gray - offset, sampled[3] - iz])
-    g_u = torch.stack([(sampled[1] + g[:, 0]) / 2, sampled[4]]) * (c.fx * iz)  # dr/dx, (2, N)
-    g_v = torch.stack([(sampled[2] + g[:, 1]) / 2, sampled[5]]) * (c.fy * iz)
+    g_u = torch.stack([(sampled[1] + g_u0) / 2, sampled[4]]) * (c.fx * iz)  # dr/dx, (2, N)
+    g_v = torch.stack([(sampled[2] + g_v0) / 2, sampled[5]]) * (c.fy * iz)
     g_z = -(g_u * x + g_v * y) * iz
     g_z[1] += iz * iz
     zero, one = torch.zeros_like(iz), torch.ones_like(iz)
