@@ -35,7 +35,7 @@ def checked(raw: Raw) -> Align:
         if not bool(torch.isfinite(T_target_source).all()):
             return Alignment(identity, Status.LOST, "the motion has a value that is not finite")
         status, reason = judge(source, target, T_target_source)
-        return Alignment(T_target_source, status, reason)
+        return Alignment(identity if status is Status.LOST else T_target_source, status, reason)
 
     return align
 

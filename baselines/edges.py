@@ -14,9 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from idrgbdo_torch.camera import backproject, duv_dP, project
+from idrgbdo_torch.camera import Pinhole, backproject, duv_dP, project
 from idrgbdo_torch.frame import RgbdFrame
-from idrgbdo_torch.image import sample_bilinear
+from idrgbdo_torch.image import pyramid, sample_bilinear
 from idrgbdo_torch.se3 import exp, inverse, transform
 from idrgbdo_torch.solver import MAD_TO_SIGMA, normal_equations, solve
 
@@ -36,15 +36,9 @@ class EdgeConfig:
     max_gradient: float = 10.0  # and the highest
     low: float = 0.5  # lower over upper threshold
     points: int = 6000  # of a keyframe, before those without a surface are left out
-    reach: tuple[float, ...] = (
-        30.0,
-        15.0,
-        8.0,
-        4.0,
-        2.5,
-    )  # px, how far an edge is looked for, one round after the other
-    iterations: int = 4  # in each round
-    tolerance: float = 1e-5  # m and rad
+    rounds: tuple[tuple[int, float], ...] = ((2, 12.0), (1, 6.0), (0, 6.0), (0, 3.0))  # level, and how far in its px
+    iterations: int = 8  # at most, in each round
+    tolerance: float = 3e-5  # m and rad, on the finest level
     alignment: float = 0.8  # least cosine between the directions of two edges
     freedom: float = 5.0  # of the t-distribution
     min_sigma: float = 0.1  # px
@@ -53,8 +47,10 @@ class EdgeConfig:
 
 @dataclass(frozen=True)
 class Edges:
-    """The edge pixels of a frame."""
+    """The edge pixels of one pyramid level of a frame."""
 
+    camera: Pinhole
+    level: int
     frame: RgbdFrame
     mask: Tensor  # (H, W) bool
     uv: Tensor  # (M, 2) float64, to a fraction of a pixel, in the order of the mask's pixels
@@ -65,9 +61,9 @@ class Edges:
     def points(self) -> tuple[Tensor, Tensor]:
         """For a keyframe: indices (N,) of evenly thinned pixels on surfaces, and their points (N, 3) float64, m."""
         picks = torch.linspace(0, len(self.uv) - 1, min(len(self.uv), self.most)).long()
-        d = surface_inverse_depth(self.frame.depth, self.uv[picks])
+        d = surface_inverse_depth(self.frame.depth, (self.uv[picks] + 0.5) * 2**self.level - 0.5)
         index = torch.nonzero(torch.isfinite(d))[:, 0]
-        return picks[index], backproject(self.frame.camera, self.uv[picks[index]], d[index])
+        return picks[index], backproject(self.camera, self.uv[picks[index]], d[index])
 
     @cached_property
     def nearest(self) -> Tensor:
@@ -85,39 +81,44 @@ class EdgeFront:
     def __init__(self, config: EdgeConfig) -> None:
         self.config = config
 
-    def prepare(self, frame: RgbdFrame) -> Edges | str:
-        """Canny edges."""
-        mask, uv, normal = _detect(frame.gray, self.config)
-        usable = int((mask & (frame.depth > 0)).sum())
-        if usable < self.config.min_points:
-            return f"only {usable} edge pixels have a depth"
-        return Edges(frame, mask, uv, normal, self.config.points)
+    def prepare(self, frame: RgbdFrame) -> dict[int, Edges] | str:
+        """Canny edges on all levels that are used."""
+        config = self.config
+        levels = sorted({level for level, _ in config.rounds})
+        grays = pyramid(frame.gray, levels[-1] + 1)
+        edges = {
+            level: Edges(frame.camera.at_level(level), level, frame, *_detect(grays[level], config), config.points)
+            for level in levels
+        }
+        usable = int((edges[levels[0]].mask & (frame.depth[:: 2 ** levels[0], :: 2 ** levels[0]] > 0)).sum())
+        return edges if usable >= config.min_points else f"only {usable} edge pixels have a depth"
 
-    def fit(self, keyframes: Sequence[Keyframe[Edges]], current: Edges, guess: Tensor) -> Fit:
+    def fit(self, keyframes: Sequence[Keyframe[dict[int, Edges]]], current: dict[int, Edges], guess: Tensor) -> Fit:
         """Gauss-Newton on the distances from the projected points to the nearest edges, along these edges' normals."""
         config, keyframe = self.config, keyframes[-1]
         T = guess @ keyframe.T_world_cam  # T_cam_kf
-        H, iterations, points = torch.eye(6, dtype=torch.float64), 0, 0
-        for reach in config.reach:
+        H, iterations, points, known = torch.eye(6, dtype=torch.float64), 0, 0, 1
+        for level, reach in config.rounds:
+            known = max(len(keyframe.data[level].points[0]), 1)
             for _ in range(config.iterations):
                 iterations += 1
-                r, J = _linearise(keyframe.data, current, T, reach, config.alignment)
+                r, J = _linearise(keyframe.data[level], current[level], T, reach, config.alignment)
                 points = len(r)
-                if points < config.min_points:
-                    return Fit(guess, f"only {points} edge pixels are within {reach:g} px of an edge")
+                if points < config.min_points >> level:
+                    return Fit(guess, f"only {points} edge pixels of level {level} are within {reach:g} px of an edge")
                 sigma = (MAD_TO_SIGMA * r.abs().median()).clamp(min=config.min_sigma)
                 H, b = normal_equations(J, r, student_weight((r / sigma).square(), config.freedom, 1) / sigma**2)
                 step = solve(H, b)
                 if not bool(step.ok):
                     return Fit(guess, step.reason)
                 T = exp(step.y) @ T
-                if float(step.y.abs().max()) < config.tolerance:
+                if float(step.y.abs().max()) < config.tolerance * 4.0**level:
                     break
         T_cam_world = T @ inverse(keyframe.T_world_cam)
-        return Fit(T_cam_world, "", H, points, iterations, points / max(len(keyframe.data.points[0]), 1))
+        return Fit(T_cam_world, "", H, points, iterations, points / known)
 
 
-def make() -> KeyframeOdometry[Edges]:
+def make() -> KeyframeOdometry[dict[int, Edges]]:
     """Edge odometry, frame to keyframe."""
     return KeyframeOdometry(EdgeFront(EdgeConfig()), "edges, after Canny-VO", KeyframeRule(share=0.35))
 
@@ -146,7 +147,7 @@ def _detect(gray: Tensor, config: EdgeConfig) -> tuple[Tensor, Tensor, Tensor]:
 
 def _linearise(reference: Edges, current: Edges, T: Tensor, reach: float, alignment: float) -> tuple[Tensor, Tensor]:
     """Distances (N,) in px to the nearest edge of the same direction within reach, and their Jacobian (N, 6)."""
-    camera = current.frame.camera
+    camera = current.camera
     index, P = reference.points
     P = transform(T, P)
     uv, valid = project(camera, P)
