@@ -13,6 +13,7 @@ import tyro
 from tyro.conf import FlagConversionOff, Positional, arg, subcommand
 
 from . import __version__, configfile
+from .compare_command import CompareCommand, compare
 from .config import Config
 from .errors import IdRgbdoError
 from .synthetic.config import SynthConfig
@@ -74,13 +75,15 @@ class DemoCommand:
     out: Path | None = None  # folder for the results; else runs/demo/<time>
 
 
-Command = RunCommand | EvaluateCommand | SynthCommand | DemoCommand
+Command = RunCommand | EvaluateCommand | SynthCommand | DemoCommand | CompareCommand
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The exit status: 0, 1 after a known error (one line on stderr), 130 after Ctrl-C. Wrong flags exit with 2."""
     try:
         command = parse(list(sys.argv[1:] if argv is None else argv))
+        if isinstance(command, CompareCommand):
+            return compare(command)
         from . import commands
 
         if isinstance(command, RunCommand):
@@ -110,6 +113,7 @@ def parse(argv: list[str]) -> Command:
         | Annotated[EvaluateCommand, subcommand("evaluate")]
         | Annotated[SynthCommand, subcommand("synth")]
         | Annotated[DemoCommand, subcommand("demo", default=DemoCommand(settings))]
+        | Annotated[CompareCommand, subcommand("compare")]
     )
     arguments = [re.sub(r"^(--[\w.-]+=)?(true|false)$", _capitalised, argument) for argument in argv] or ["--help"]
     command: Command = tyro.cli(commands, prog="idrgbdo", description=DESCRIPTION, args=arguments)

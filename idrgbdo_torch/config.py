@@ -18,16 +18,15 @@ class NoiseConfig:
     """What a residual is trusted with (Eqs. 5-8, 10)."""
 
     variance: Literal["first_order", "paper"] = "first_order"  # (g . dp/dd)^2, or the printed sum of squares
-    sigma_intensity: Positive = 4.0  # gray levels, of one pixel
-    sigma_pixel: NonNegative = 0.3  # px, position: calibration, blur, interpolation
+    sigma_intensity: Positive = 4.0  # gray levels, of one pixel (LSD-SLAM)
+    sigma_pixel: NonNegative = 0.15  # px, position: calibration, blur, interpolation; shared by a patch
     sigma_disparity: Positive = 0.16  # px, of the depth sensor
-    focal_baseline: Positive = 40.0  # px m, f * b of Eq. 10
+    focal_baseline: Positive = 40.0  # px m, f * b of Eq. 10 (Kinect)
     c_h: NonNegative = 1.0  # weight of the projective distortion, Eq. 7
-    huber: Positive = 9.0  # gray levels
-    outlier: Positive = 3.0  # robust standard deviations of a point
+    huber: Positive = 9.0  # gray levels, over sigma_intensity on the whitened residual (DSO)
+    outlier: Positive = 3.0  # robust standard deviations of a point's residual
     depth_residual: bool = True  # beyond the paper: compare the warped with the measured depth
-    blend: Fraction = 0.5  # share of the reference gradient in the Jacobian
-    point_depth: NonNegative = 1.0  # sigma of a point's fitted inverse depth over that of one reading
+    gradient_blend: Fraction = 0.5  # share of the keyframe's gradient in the Jacobian, the rest is the frame's
 
 
 @dataclass(frozen=True)
@@ -37,26 +36,31 @@ class SelectionConfig:
     mode: Mode = "inf+grid"
     points: Count = 24
     per_frame: bool = True  # choose anew for every frame among those the predicted pose sees, or once a keyframe
-    candidates: Count = 800  # kept per keyframe
+    objective: Literal["bits", "paper"] = "bits"  # Eq. 18 in bits with a weighted spread, or as printed
+    candidates: Count = 1200  # kept per keyframe
     margin: NonNegative = 20.0  # px inside the image
     spread: NonNegative = 0.5  # bits, weight of the second term of Eq. 18
-    distance: NonNegative = 6.0  # px between chosen points
+    c_z: NonNegative = 25.0  # its sharpness: half weight at a fifth of the image radius
+    distance: NonNegative = 6.0  # px between chosen points: overlapping patches measure the same thing
 
 
 @dataclass(frozen=True)
 class TrackingConfig:
     """How a frame is aligned to its keyframe (section 4.2)."""
 
-    levels: Annotated[int, Bounds(1, 8)] = 4
+    levels: Annotated[int, Bounds(1, 6)] = 4
     points_coarse: Count = 256  # on all levels but the finest
+    sigma_velocity: Positive = 0.6  # m/s, change of velocity within 1/30 s: the motion prior, Eq. 19
+    sigma_turn: Positive = 0.9  # rad/s, the same of the rotation
 
 
 @dataclass(frozen=True)
 class KeyframeConfig:
     """When a frame becomes a keyframe (section 5.1)."""
 
-    criterion: Literal["bits", "ratio"] = "bits"
-    threshold: Positive = 1.0
+    criterion: Literal["bits", "ratio"] = "bits"  # log2(sigma / sigma_0), or Eq. 20 as printed
+    threshold_bits: Positive = 0.35
+    threshold_ratio: Positive = 0.04
 
 
 @dataclass(frozen=True)
@@ -64,8 +68,8 @@ class WindowConfig:
     """The sliding window (section 5.2)."""
 
     enabled: bool = True
-    keyframes: Count = 8
-    points: Count = 24  # per keyframe
+    keyframes: Annotated[int, Bounds(3, 64)] = 8
+    points: Index = 0  # per keyframe; 0: as many as selection.points, at most 96
     first_estimates: bool = True  # geometric Jacobians of variables in the prior stay where they were first taken
     removal: Literal["information", "oldest"] = "information"  # Eq. 26, or first in first out
 
@@ -80,3 +84,8 @@ class Config:
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)
     window: WindowConfig = field(default_factory=WindowConfig)
+
+    @property
+    def window_points(self) -> int:
+        """Points of a keyframe in the window."""
+        return self.window.points or min(self.selection.points, 96)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
 from typing import Any
 
 import cv2
@@ -14,9 +13,12 @@ from torch import Tensor
 
 from .camera import Pinhole
 from .errors import IdRgbdoError
-from .kernels.alignment import Points
+from .kernels.model import Points
 
 Image = NDArray[Any]
+
+LEVELS = 6  # of every pyramid; tracking starts at its configured one, recovery at the coarsest
+COARSE_BLUR = 1.2  # px, standard deviation
 
 
 @dataclass(frozen=True)
@@ -68,18 +70,19 @@ class Frame:
         return np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras])
 
 
-def prepare(rgbd: RgbdFrame, levels: int) -> Frame:
-    """Gray pyramid by 2x2 means, which is what Pinhole.at_level assumes. The input is not changed."""
+def prepare(rgbd: RgbdFrame) -> Frame:
+    """Gray pyramid by 2x2 means, which is what Pinhole.at_level assumes; the coarse levels are blurred.
+
+    Without the blur, texture aliases on the coarse levels and Gauss-Newton crawls there. The input is not changed.
+    """
     images = [np.ascontiguousarray(rgbd.gray.numpy())]
-    for _ in range(levels - 1):
+    while len(images) < LEVELS:
         height, width = images[-1].shape
-        even = images[-1][: height // 2 * 2, : width // 2 * 2]
-        images.append(cv2.resize(even, (width // 2, height // 2), interpolation=cv2.INTER_AREA))
-    import os
-    s0=float(os.environ.get('S0','0')); s1=float(os.environ.get('S1','0'))
-    if s1>0: images=[images[0]]+[cv2.GaussianBlur(i,(5,5),s1) for i in images[1:]]
-    if s0>0: images[0]=cv2.GaussianBlur(images[0],(5,5),s0)
-    return Frame(rgbd.timestamp, rgbd.camera, tuple(images), np.ascontiguousarray(rgbd.depth.numpy()), rgbd.color)
+        even = images[-1][: max(height // 2, 1) * 2, : max(width // 2, 1) * 2]
+        images.append(cv2.resize(even, (max(width // 2, 1), max(height // 2, 1)), interpolation=cv2.INTER_AREA))
+    coarse = [cv2.GaussianBlur(image, (5, 5), COARSE_BLUR) for image in images[1:]]
+    depth = np.ascontiguousarray(rgbd.depth.numpy())
+    return Frame(rgbd.timestamp, rgbd.camera, (images[0], *coarse), depth, rgbd.color)
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,9 @@ class Keyframe:
     """A frame with its candidate points (struct of arrays); its pose lives in the window."""
 
     frame: Frame
-    points: Points
+    points: Points  # inverse depths as refined so far
+    measured: Image  # (N,) 1/m, the sensor's own inverse depths
+    measured_variance: Image  # (N,) (1/m)^2
     radius: Image  # (N,) distance to the principal point over the largest one
     tier: Image  # (N,) 2 Canny edge, 1 above the regional threshold, 0 weaker
     coarse: Image  # (M,) indices spread over the image: coarse levels and verification

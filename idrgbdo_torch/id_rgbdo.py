@@ -2,20 +2,40 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from . import configfile
+from .candidates import make_keyframe
 from .config import Config
 from .frame import Frame, Keyframe, RgbdFrame, prepare
 from .kernels.lie import inverse
+from .keyframe import freedom_entropies_bits, wants_keyframe
 from .odometry import Status, TrackResult
-from .selection import make_keyframe, select_points
-from .tracking import Tracked, kernel_noise, predict, track_frame
+from .selection import select_points
+from .tracking import (
+    LOST_BELOW,
+    WEAK_BELOW,
+    Tracked,
+    kernel_noise,
+    motion_information,
+    predict,
+    recover,
+    track_frame,
+    verify,
+)
 from .trajectory import Trajectory
+from .window import Window
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+FEWEST_CANDIDATES = 16  # that make a keyframe
+PATIENCE = 3  # lost frames in a row before a new segment starts
 
 
 class IdRgbdo:
@@ -25,6 +45,7 @@ class IdRgbdo:
 
     def __init__(self, config: Config | None = None) -> None:
         self.config = config or Config()
+        configfile.check(self.config)
         self.noise = kernel_noise(self.config.noise)
         self.reset()
 
@@ -32,57 +53,145 @@ class IdRgbdo:
         """Forget everything; the next frame gets the pose T_world_cam (identity by default)."""
         self.rng = np.random.default_rng(self.config.seed)
         self.keyframe: Keyframe | None = None
+        self.window = Window(self.config, self.noise)
         self.T_cam_world = np.eye(4) if T_world_cam is None else inverse(T_world_cam.double().numpy())
-        self.T_previous = self.T_cam_world
+        self.T_kf_world = self.T_cam_world
+        self.T_previous = self.T_cam_world  # of the frame before the last, for the constant velocity
+        self.dt_previous = 0.0  # s, between those two; 0 where there is no velocity
         self.affine = np.zeros(2)
+        self.index = np.zeros(0, dtype=np.int64)  # the keyframe's points, where they are chosen only once
+        self.entropies: list[Tensor] = []  # per degree of freedom, of the frames tracked since the keyframe
+        self.lost_in_a_row = 0
+        self.segment = 0
         self.times: list[float] = []
-        self.poses: list[Array] = []
-        self.reference_bits: list[Array] = []
+        self.references: list[int] = []  # number of the keyframe of every frame
+        self.T_cam_kf: list[Array] = []
+        self.keyframe_poses: list[Array] = []  # T_kf_world of every keyframe, refined as long as it is in the window
+        self.keyframe_times: list[float] = []
+        self.in_window: list[int] = []  # which of them that are
 
     def track(self, rgbd: RgbdFrame) -> TrackResult:
-        frame = prepare(rgbd, self.config.tracking.levels)
-        if self.keyframe is None:
-            self._new_keyframe(frame, self.T_cam_world)
-            return self._result(frame, None, True)
-        T_kf_world = self.T_kf_world
-        guess = predict(self.T_cam_world, self.T_previous, 1.0) @ inverse(T_kf_world)
-        prior = np.diag([1 / 0.02**2] * 3 + [1 / 0.03**2] * 3)
-        index = select_points(
-            self.keyframe, guess, self.config, self.noise, prior, self.rng, self.config.selection.points
-        )
+        """The pose of the next frame (sections 4 and 5)."""
+        frame = prepare(rgbd)
+        if self.keyframe is None or self.lost_in_a_row >= PATIENCE:
+            return self._start_segment(frame)
+        dt = max(frame.timestamp - self.times[-1], 1e-3)
+        ratio = min(dt / self.dt_previous, 3.0) if self.dt_previous > 0.0 else 0.0
+        guess = predict(self.T_cam_world, self.T_previous, ratio) @ inverse(self.T_kf_world)
+        prior = motion_information(self.config, dt)
+        index = self._choose(self.keyframe, guess, prior)
         tracked = track_frame(
-            frame, self.keyframe, guess, self.affine, index, self.keyframe.coarse, prior, self.config, self.noise
-        )
-        self.last_index=index
-        self.T_previous = self.T_cam_world
-        self.T_cam_world = tracked.T_frame_kf @ T_kf_world
-        self.affine = tracked.affine
-        bits = 0.5 * np.log2(2 * np.pi * np.e / np.maximum(np.diag(tracked.information), 1e-9))
-        self.reference_bits.append(bits)
-        result = self._result(frame, tracked, False)
-        reference = np.median(np.array(self.reference_bits[:3]), axis=0)
-        if len(self.reference_bits) > 3 and (bits - reference).max() > self.config.keyframe.threshold:
-            self._new_keyframe(frame, self.T_cam_world)
+            frame, self.keyframe, guess, self.affine, index, self.keyframe.coarse, prior, self.noise,
+            self.config.tracking.levels,
+        )  # fmt: skip
+        verdict = verify(frame, self.keyframe, tracked, self.noise)
+        if verdict.doubt(WEAK_BELOW):
+            resting = self.T_cam_world @ inverse(self.T_kf_world)
+            again, second = recover(frame, self.keyframe, [guess, resting], self.affine, index, self.noise)
+            if second.score > verdict.score:
+                tracked, verdict = again, second
+        if reason := verdict.doubt(LOST_BELOW):
+            return self._lost(frame, reason)
+        reason = verdict.doubt(WEAK_BELOW) or ("the frame before was lost" if self.lost_in_a_row else "")
+        entropies = freedom_entropies_bits(torch.from_numpy(tracked.information))
+        self.entropies.append(entropies)
+        self._move(tracked.T_frame_kf @ self.T_kf_world, 0.0 if self.lost_in_a_row else dt)
+        self.affine, self.lost_in_a_row = tracked.affine, 0
+        result = self._result(frame, tracked, Status.WEAK if reason else Status.OK, reason, entropies)
+        if wants_keyframe(self.entropies, self.config.keyframe) and self._new_keyframe(frame):
+            result = replace(result, keyframe=True, T_world_cam=torch.from_numpy(inverse(self.T_cam_world)))
         return result
 
-    def _new_keyframe(self, frame: Frame, T_kf_world: Array) -> None:
-        self.keyframe = make_keyframe(frame, self.config, self.rng)
-        self.T_kf_world = T_kf_world
-        self.affine = np.zeros(2)
-        self.reference_bits = []
+    def _choose(self, keyframe: Keyframe, T_frame_kf: Array, prior: Array) -> Index:
+        """The points to track: anew for every frame, or the keyframe's own."""
+        if not self.config.selection.per_frame:
+            return self.index
+        selection = self.config.selection
+        return select_points(keyframe, T_frame_kf, selection.points, prior, selection, self.noise, self.rng)
 
-    def _result(self, frame: Frame, tracked: Tracked | None, is_keyframe: bool) -> TrackResult:
-        assert self.keyframe is not None
+    def _move(self, T_cam_world: Array, dt: float) -> None:
+        self.T_previous, self.T_cam_world, self.dt_previous = self.T_cam_world, T_cam_world, dt
+
+    def _new_keyframe(self, frame: Frame) -> bool:
+        """Make a keyframe of the frame just tracked and refine the window; False where it has too few candidates."""
+        keyframe = make_keyframe(frame, self.config, self.rng)
+        if len(keyframe.points.uv) < FEWEST_CANDIDATES:
+            return False
+        self.keyframe_poses.append(self.T_cam_world)
+        self.keyframe_times.append(frame.timestamp)
+        prior = motion_information(self.config, 1.0 / 30.0)
+        selection = self.config.selection
+        if not selection.per_frame:
+            self.index = select_points(keyframe, np.eye(4), selection.points, prior, selection, self.noise, self.rng)
+        if self.config.window.enabled:
+            m = self.config.window_points
+            index = select_points(keyframe, np.eye(4), m, prior, selection, self.noise, self.rng)
+            keyframe = self._refine(keyframe, index)
+        self.keyframe, self.T_kf_world = keyframe, self.T_cam_world
+        self.affine = np.zeros(2)
+        self.entropies = []
+        return True
+
+    def _refine(self, keyframe: Keyframe, index: Index) -> Keyframe:
+        """Add a keyframe to the window, optimise, shrink; the present pose and its velocity follow."""
+        before = self.T_cam_world
+        self.window.add(keyframe, before, self.affine, index)
+        self.in_window.append(len(self.keyframe_poses) - 1)
+        self.window.optimise()
+        for number, pose in zip(self.in_window, self.window.T_kf_world, strict=True):
+            self.keyframe_poses[number] = pose
+        for k in self.window.shrink():
+            self.in_window.pop(k)
+        self.T_cam_world = self.window.T_kf_world[-1]
+        self.T_previous = self.T_previous @ inverse(before) @ self.T_cam_world
+        return self.window.keyframes[-1]
+
+    def _start_segment(self, frame: Frame) -> TrackResult:
+        """Begin at the last pose: the first frame, or the one after too many lost ones."""
+        first = self.keyframe is None
+        self.window = Window(self.config, self.noise)
+        self.in_window = []
+        self.affine = np.zeros(2)
+        self.dt_previous = 0.0
+        if not self._new_keyframe(frame):
+            return self._lost(frame, "too few points with depth and texture to start from")
+        self.segment += 0 if first else 1
+        self.lost_in_a_row = 0
+        reason = "" if first else "a new segment starts here, at the last known pose"
+        return replace(self._result(frame, None, Status.OK if first else Status.LOST, reason), keyframe=True)
+
+    def _lost(self, frame: Frame, reason: str) -> TrackResult:
+        """Stay where we were and say so."""
+        self.lost_in_a_row += 1
+        self.dt_previous = 0.0
+        return self._result(frame, None, Status.LOST, reason)
+
+    def _result(
+        self, frame: Frame, tracked: Tracked | None, status: Status, reason: str, entropies: Tensor | None = None
+    ) -> TrackResult:
         T_world_cam = inverse(self.T_cam_world)
+        T_cam_kf = self.T_cam_world @ inverse(self.T_kf_world) if tracked is None else tracked.T_frame_kf
         self.times.append(frame.timestamp)
-        self.poses.append(T_world_cam)
+        self.references.append(len(self.keyframe_poses) - 1)
+        self.T_cam_kf.append(T_cam_kf)
         return TrackResult(
-            torch.from_numpy(T_world_cam), Status.OK, "", self.keyframe.frame.timestamp,
-            torch.from_numpy(self.T_kf_world @ T_world_cam),
-            None if tracked is None else torch.from_numpy(tracked.information), is_keyframe,
-            0 if tracked is None else tracked.points, 0 if tracked is None else tracked.iterations,
-        )  # fmt: skip
+            T_world_cam=torch.from_numpy(T_world_cam),
+            status=status,
+            reason=reason,
+            reference_time=None if tracked is None else self.keyframe_times[-1],
+            T_ref_cam=None if tracked is None else torch.from_numpy(inverse(T_cam_kf)),
+            information=None if tracked is None else torch.from_numpy(tracked.information),
+            points=0 if tracked is None else tracked.points,
+            iterations=0 if tracked is None else tracked.iterations,
+            entropy_bits=() if entropies is None else tuple(entropies.tolist()),
+            segment=self.segment,
+        )
 
     def trajectory(self) -> Trajectory:
-        """Every frame's pose."""
-        return Trajectory(torch.tensor(self.times, dtype=torch.float64), torch.from_numpy(np.array(self.poses)))
+        """Every frame's pose, hung on its keyframe as the window has refined it."""
+        start = np.eye(4) if not self.keyframe_poses else self.keyframe_poses[0]
+        poses = [
+            inverse(T @ (self.keyframe_poses[r] if r >= 0 else start))
+            for T, r in zip(self.T_cam_kf, self.references, strict=True)
+        ]
+        return Trajectory(torch.tensor(self.times, dtype=torch.float64), torch.from_numpy(np.array(poses)))

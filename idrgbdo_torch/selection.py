@@ -1,106 +1,144 @@
-"""Which points to track (section 4.1): candidates of a keyframe, the four modes, Algorithm 1."""
+"""Which points to track (section 4.1, step 3): the four modes, Algorithm 1, Eqs. 17 and 18.
+
+A point is given by its whitened rows A (R, D): A^T A is what it adds to the information of the state. Any Jacobian
+divided by its standard deviation will do, so these functions serve other trackers too.
+"""
 
 from __future__ import annotations
 
-import cv2
+from math import log
+
 import numpy as np
+import torch
 from numpy.random import Generator
 from numpy.typing import NDArray
+from torch import Tensor
 
-from .config import Config
-from .frame import Frame, Keyframe
-from .kernels import candidates as fused
+from .config import SelectionConfig
+from .errors import IdRgbdoError
+from .frame import Keyframe
 from .kernels import choice
-from .kernels.alignment import Noise, Points
+from .kernels.model import Noise
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-BLOCK = 32  # px, region of the adaptive threshold (DSO)
-THRESHOLD_OFFSET = 7.0  # gray levels above the region's median gradient (DSO)
-CANNY = (50, 200)  # gray levels (RGBDTAM)
-PLANE_RADIUS = 3  # px, neighbourhood of a point's inverse depth
-BORDER = 4  # px, room for the patch and its gradients
+
+def determinant_gain(rows: Tensor, information: Tensor) -> Tensor:
+    """Eq. (17). Delta_p |Lambda| = |Lambda| (|I + A_p Lambda^-1 A_p^T| - 1) (...), rows A (..., R, D), Lambda (D, D).
+
+    For a single row it is the printed sigma^-2 j Lambda^adj j^T. Float64: |Lambda| of a pose is about 1e41.
+    """
+    gain: Tensor = torch.linalg.det(information) * torch.expm1(log(2.0) * 2.0 * gain_bits(rows, information))
+    return gain
 
 
-def make_keyframe(frame: Frame, config: Config, rng: Generator) -> Keyframe:
-    """Extract the candidates of a frame (steps 1 and 2) and everything that tracking needs of them."""
-    uv, inv_depth, tier = extract_candidates(frame, config, rng)
-    sigma = config.noise.sigma_disparity / config.noise.focal_baseline
-    patch, gradient = fused.sample_patches(frame.images, uv, choice.PIXELS)
-    camera = frame.camera
-    radius = np.hypot(uv[:, 0] - camera.cx, uv[:, 1] - camera.cy)
-    radius /= max(radius.max(initial=0.0), 1.0)
-    var = np.full(len(uv), (config.noise.point_depth * sigma) ** 2)
-    points = Points(uv, inv_depth, var, patch, gradient)
-    coarse = spread_out(uv, config.tracking.points_coarse, camera.width, camera.height)
-    return Keyframe(frame, points, radius, tier, coarse)
+def gain_bits(rows: Tensor, information: Tensor) -> Tensor:
+    """What each point takes off the entropy, 1/2 log2 |I + A Lambda^-1 A^T| (...) in bits: Eq. 17 without its unit.
+
+    The same point is best by either, this one has no units, cannot overflow, and can only shrink as points join.
+    """
+    AC = rows @ torch.linalg.inv(information)  # (..., R, D)
+    inner = torch.eye(rows.shape[-2], dtype=rows.dtype) + AC @ rows.mT
+    bits: Tensor = 0.5 * torch.linalg.slogdet(inner).logabsdet / log(2.0)
+    return bits
 
 
-def extract_candidates(frame: Frame, config: Config, rng: Generator) -> tuple[Array, Array, Index]:
-    """uv (N, 2), inverse depth (N,), tier (N,) of the pixels worth choosing from."""
-    mode = config.selection.mode
-    sigma = config.noise.sigma_disparity / config.noise.focal_baseline
-    height, width = frame.depth.shape
-    if mode == "rand":
-        tries = 2 * config.selection.candidates
-        uv = np.column_stack(
-            [rng.integers(BORDER, width - BORDER, tries), rng.integers(BORDER, height - BORDER, tries)]
-        ).astype(np.float64)
-        valid, inv_depth = fused.planes_at(frame.depth, uv, PLANE_RADIUS, sigma)
-        keep = np.flatnonzero(valid)[: config.selection.candidates]
-        return uv[keep], inv_depth[keep], np.zeros(len(keep), dtype=np.int64)
-    gradient2 = fused.gradient_squared(frame.images[0])
-    thresholds = fused.block_thresholds(gradient2, BLOCK, THRESHOLD_OFFSET)
-    gray = frame.images[0].astype(np.uint8)
-    edges = cv2.Canny(gray, *CANNY, L2gradient=True) > 0
-    cell = 4 if mode == "inf" else max(4, round(float(np.sqrt(width * height / config.selection.candidates))))
-    return fused.grid_candidates(gradient2, thresholds, BLOCK, edges, frame.depth, cell, BORDER, PLANE_RADIUS, sigma)
+def point_value(gain: Tensor, radius: Tensor, z: float, c_z: float, spread: float = 1.0) -> Tensor:
+    """Eq. (18). f(p, z, Lambda) = Delta_p |Lambda| + 1 / (c_z (z_p - z)^2 + 1) (...).
+
+    gain: determinant_gain with spread 1 is the function as printed; gain_bits with a weighted spread is the default,
+    because the printed sum adds 1e41 to at most 1. radius: z_p (...), 0 at the principal point, 1 farthest out.
+    """
+    return gain + spread / (c_z * (radius - z) ** 2 + 1.0)
 
 
-def spread_out(uv: Array, count: int, width: int, height: int) -> Index:
-    """About `count` indices spread evenly over the image, deterministic."""
-    if len(uv) <= count:
-        return np.arange(len(uv))
-    cell = float(np.sqrt(width * height / count))
-    keys = (uv[:, 1] // cell).astype(np.int64) * 10_000 + (uv[:, 0] // cell).astype(np.int64)
-    order = np.random.default_rng(0).permutation(len(uv))
-    _, first = np.unique(keys[order], return_index=True)
-    chosen = order[first]
-    rest = np.setdiff1d(order, chosen, assume_unique=True)
-    return np.sort(np.concatenate([chosen, rest[: max(0, count - len(chosen))]])[:count])
+def select_informative(
+    rows: Tensor, radius: Tensor, m: int, information: Tensor, *, objective: str = "bits", spread: float = 0.5,
+    c_z: float = 25.0, where: Tensor | None = None, distance: float = 0.0,
+) -> Tensor:  # fmt: skip
+    """Algorithm 1. Indices (<= m,) of the most informative points, in order of choice, from rows A (N, R, D).
+
+    information: (D, D) positive definite to begin with, the prior's. radius: (N,). objective: "bits" or "paper", see
+    point_value. where (N, 2) and distance: no two chosen points are closer (px). This is the definition, O(N m);
+    kernels.choice.select is its fused twin for poses.
+    """
+    if rows.ndim != 3 or m < 1 or information.shape != (rows.shape[-1],) * 2:
+        raise IdRgbdoError(
+            f"rows: expected (N, R, D) with information (D, D) and m >= 1, got {tuple(rows.shape)}, "
+            f"{tuple(information.shape)} and m = {m}; a single Jacobian row a point is (N, 1, D)"
+        )
+    rows, information = rows.double(), information.double().clone()
+    free = torch.ones(len(rows), dtype=torch.bool)
+    chosen: list[int] = []
+
+    def take(best: int) -> None:
+        chosen.append(best)
+        free[best] = False
+        if where is not None and distance > 0.0:
+            free.logical_and_((where - where[best]).square().sum(dim=-1) >= distance**2)
+        information.add_(rows[best].mT @ rows[best])
+
+    for k in range(rows.shape[-1]):  # the largest derivative of each degree of freedom
+        size = rows[..., k].square().sum(dim=-1).where(free, -torch.inf)
+        if len(chosen) < m and free.any() and size.max() > 0.0:
+            take(int(size.argmax()))
+    z = 1.0
+    step = 1.0 / max(1, m - rows.shape[-1])
+    while free.any() and len(chosen) < m:
+        gain = gain_bits(rows, information) if objective == "bits" else determinant_gain(rows, information)
+        value = point_value(gain, radius, z, c_z, spread if objective == "bits" else 1.0)
+        take(int(value.where(free, -torch.inf).argmax()))
+        z = max(0.0, z - step)
+    return torch.tensor(chosen, dtype=torch.int64)
 
 
 def select_points(
-    keyframe: Keyframe, T_frame_kf: Array, config: Config, noise: Noise, information: Array, rng: Generator, m: int
+    keyframe: Keyframe,
+    T_frame_kf: Array,
+    m: int,
+    information: Array,
+    config: SelectionConfig,
+    noise: Noise,
+    rng: Generator,
 ) -> Index:
-    """At most m candidate indices for the predicted pose, by the configured mode."""
+    """At most m candidates of a keyframe for a frame at the pose T_frame_kf, by the configured mode."""
     camera = keyframe.frame.camera
     everyone = np.arange(len(keyframe.points.uv))
     A, seen, where = choice.whitened_rows(
-        keyframe.frame.intrinsics[0], camera.width, camera.height, config.selection.margin,
-        keyframe.points, everyone, T_frame_kf, noise,
+        keyframe.frame.intrinsics[0], camera.width, camera.height, config.margin, keyframe.points, everyone, T_frame_kf,
+        noise,
     )  # fmt: skip
-    mode = config.selection.mode
-    if mode == "rand":
+    if config.mode == "rand":
+        return np.sort(rng.permutation(np.flatnonzero(seen))[:m])
+    if config.mode == "grid":
+        return strongest_of_cells(where, seen, keyframe, m)
+    if config.objective == "paper":
         visible = np.flatnonzero(seen)
-        return np.sort(rng.permutation(visible)[:m])
-    if mode == "grid":
-        return grid_choice(where, seen, keyframe, m)
-    return choice.select(
-        A, seen, where, keyframe.radius, m, information, config.selection.spread, 25.0, config.selection.distance
+        chosen = select_informative(
+            torch.from_numpy(A[visible]), torch.from_numpy(keyframe.radius[visible]), m, torch.from_numpy(information),
+            objective="paper", c_z=config.c_z, where=torch.from_numpy(where[visible]), distance=config.distance,
+        )  # fmt: skip
+        return np.asarray(visible[chosen.numpy()])
+    return np.asarray(
+        choice.select(A, seen, where, keyframe.radius, m, information, config.spread, config.c_z, config.distance)
     )
 
 
-def grid_choice(where: Array, seen: NDArray[np.bool_], keyframe: Keyframe, m: int) -> Index:
-    """The strongest visible gradient of each of m grid cells, then the strongest of the rest."""
+def strongest_of_cells(where: Array, seen: NDArray[np.bool_], keyframe: Keyframe, m: int) -> Index:
+    """The strongest visible gradient of each of about m grid cells, then the strongest of the rest."""
     visible = np.flatnonzero(seen)
     camera = keyframe.frame.camera
-    cell = float(np.sqrt(camera.width * camera.height / max(m, 1)))
-    keys = (where[visible, 1] // cell).astype(np.int64) * 10_000 + (where[visible, 0] // cell).astype(np.int64)
     strength = (keyframe.points.gradient[0, visible, 0] ** 2).sum(axis=1)
     order = visible[np.argsort(-strength, kind="stable")]
-    _, first = np.unique(keys[np.argsort(-strength, kind="stable")], return_index=True)
+    _, first = np.unique(grid_cells(where[order], m, camera.width, camera.height), return_index=True)
     cells = order[np.sort(first)]
-    rest = order[~np.isin(order, cells)]
-    return np.concatenate([cells, rest])[:m]
+    return np.concatenate([cells, order[~np.isin(order, cells)]])[:m]
+
+
+def grid_cells(uv: Array, count: int, width: int, height: int) -> Index:
+    """The number (N,) of the square cell each pixel lies in, with about `count` cells over the image."""
+    side = float(np.sqrt(width * height / max(count, 1)))
+    columns = int(width / side) + 1
+    cells: Index = (uv[:, 1] // side).astype(np.int64) * columns + (uv[:, 0] // side).astype(np.int64)
+    return cells

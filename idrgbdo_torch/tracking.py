@@ -1,4 +1,4 @@
-"""Pose of a frame against its keyframe (section 4.2): prediction, prior, alignment, verification."""
+"""Pose of a frame against its keyframe (section 4.2): prediction, prior, alignment, verification, recovery."""
 
 from __future__ import annotations
 
@@ -6,17 +6,40 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from .config import Config, NoiseConfig
-from .frame import Frame, Keyframe
+from .frame import LEVELS, Frame, Keyframe
 from .kernels import alignment, choice
-from .kernels.alignment import Noise
 from .kernels.lie import inverse, log_se3, retract
+from .kernels.model import Noise
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 STEPS = np.array([8, 10, 12, 12, 12, 12])  # most iterations per level, finest first
+AFFINE_PRIOR = np.diag([1.0 / 0.1**2, 1.0 / 10.0**2])  # of gain and gray levels, about the previous frame's
+RATE = 30.0  # Hz, at which the motion prior is given
+VERIFIED_LEVEL = 1
+VERIFIED_GRAY = 12.0  # gray levels, largest residual of a point that agrees
+
+
+def motion_prior_terms(xi_frame: Tensor, xi_predicted: Tensor, information: Tensor) -> tuple[Tensor, Tensor]:
+    """Eq. (19). What the motion prior adds to the normal equations: Sigma_m^-1 and Sigma_m^-1 (x_{t-1} - x_t^(k)).
+
+    xi_frame (..., 6): the frame's motion at this iteration, xi_predicted (..., 6): the previous frame's motion (both
+    log(T_t T_{t-1}^-1), constant velocity), information (6, 6): Sigma_m^-1. The prior belongs to the cost that a step
+    must lower, not to the entropy that is reported.
+    """
+    return information, (information @ (xi_predicted - xi_frame)[..., None])[..., 0]
+
+
+def motion_information(config: Config, dt: float) -> Array:
+    """Sigma_m^-1 (6, 6) for a gap of dt seconds: a change of velocity moves the camera by its size times dt."""
+    growth = (RATE * dt) * dt
+    sigma_v = config.tracking.sigma_velocity * growth
+    sigma_w = config.tracking.sigma_turn * growth
+    return np.diag([1.0 / sigma_v**2] * 3 + [1.0 / sigma_w**2] * 3)
 
 
 def kernel_noise(config: NoiseConfig) -> Noise:
@@ -32,7 +55,7 @@ def kernel_noise(config: NoiseConfig) -> Noise:
         outlier=config.outlier,
         use_depth=config.depth_residual,
         paper_variance=config.variance == "paper",
-        blend=config.blend,
+        gradient_blend=config.gradient_blend,
     )
 
 
@@ -44,39 +67,93 @@ class Tracked:
     affine: Array  # (2,) a, b of the frame relative to the keyframe
     information: Array  # (6, 6) of a left increment of T_frame_kf, brightness marginalised, prior excluded
     points: int  # used
-    kept: float  # share of the chosen points within the outlier limit
     iterations: int
-    scale: float  # robust scale of the whitened residuals
     index: Index  # chosen candidates
     rms: Array  # whitened residual of each, -1 unseen
 
 
+def predict(T_a: Array, T_b: Array, ratio: float) -> Array:
+    """Constant velocity: the motion from T_b to T_a (cam_world poses), times ratio, once more from T_a."""
+    T: Array = retract(ratio * log_se3(T_a @ inverse(T_b)), T_a)
+    return T
+
+
 def track_frame(
-    frame: Frame, keyframe: Keyframe, T0: Array, affine0: Array, index: Index, coarse: Index, prior: Array, config: Config,
-    noise: Noise, T_prior: Array | None = None,
+    frame: Frame, keyframe: Keyframe, T_guess: Array, affine: Array, index: Index, coarse: Index, prior: Array,
+    noise: Noise, levels: int,
 ) -> Tracked:  # fmt: skip
-    """Align a frame to a keyframe from the guess T0 with the motion prior's information (6, 6) about T_prior."""
-    steps = STEPS[: len(frame.images)]
-    T_prior = T0 if T_prior is None else T_prior
-    T, affine, H, rms, scale, iterations, seen, kept, _change = alignment.align(
+    """Align a frame to a keyframe from a guess of T_frame_kf, with the motion prior's information (6, 6) about it."""
+    T, affine, H, rms, _scale, iterations, _seen, kept, _change = alignment.align(
         frame.images, frame.depth, keyframe.frame.intrinsics, keyframe.points, coarse, index,
-        T0, affine0, prior, inverse(T_prior), AFFINE_PRIOR, noise, steps,
+        T_guess, affine, prior, inverse(T_guess), AFFINE_PRIOR, noise, STEPS[:levels],
     )  # fmt: skip
-    return Tracked(
-        T, affine, pose_information(H), int(kept), kept / max(len(index), 1), int(iterations), float(scale), index, rms
-    )
-
-
-AFFINE_PRIOR = np.array([1.0 / 0.1**2, 1.0 / 10.0**2])  # of the brightness about the previous frame's: gain, gray levels
+    return Tracked(T, affine, pose_information(H), int(kept), int(iterations), index, rms)
 
 
 def pose_information(H: Array) -> Array:
     """(6, 6): brightness (last two) marginalised from the (8, 8) normal matrix."""
-    corner = H[6:, 6:] + np.diag([1e-6, 1e-9])
-    out: Array = H[:6, :6] - H[:6, 6:] @ np.linalg.solve(corner, H[6:, :6])
+    out: Array = H[:6, :6] - H[:6, 6:] @ np.linalg.solve(H[6:, 6:], H[6:, :6])
     return 0.5 * (out + out.T)
 
 
-def predict(T_a: Array, T_b: Array, ratio: float) -> Array:
-    """Constant velocity: the motion from b to a (both T_cam_world-like), times ratio, applied to a."""
-    return retract(ratio * log_se3(T_a @ inverse(T_b)), T_a)
+@dataclass(frozen=True)
+class Verdict:
+    """How well a pose explains a few hundred points that did not choose it."""
+
+    visible: float  # share of the points that the frame sees
+    bright: float  # share of those with agreeing brightness
+    near: float  # share of those with depth that agree in depth
+
+    @property
+    def score(self) -> float:
+        """For the choice between two poses."""
+        return self.visible * self.bright * self.near
+
+    def doubt(self, strict: float) -> str:
+        """Why the pose is not to be believed, empty when it is; strict grows the limits towards 1."""
+        if self.visible < 0.15:
+            return f"only {self.visible:.0%} of the keyframe is in view"
+        if self.bright < strict:
+            return f"only {self.bright:.0%} of the points agree in brightness"
+        if self.near < strict + 0.12:
+            return f"only {self.near:.0%} of the points agree in depth"
+        return ""
+
+
+WEAK_BELOW = 0.65  # share of agreeing points under which a pose is doubtful
+LOST_BELOW = 0.56  # and under which it is not used
+
+
+def verify(frame: Frame, keyframe: Keyframe, tracked: Tracked, noise: Noise) -> Verdict:
+    """Hold a pose against all the spread-out points of the keyframe."""
+    coarse = keyframe.coarse
+    seen, bright, with_depth, near = choice.verify(
+        frame.images[VERIFIED_LEVEL], frame.depth, keyframe.frame.intrinsics[VERIFIED_LEVEL], VERIFIED_LEVEL,
+        keyframe.points, keyframe.points.patch[VERIFIED_LEVEL], coarse, tracked.T_frame_kf, tracked.affine, noise,
+        VERIFIED_GRAY,
+    )  # fmt: skip
+    if not (np.isfinite(tracked.T_frame_kf).all() and tracked.points >= 6):
+        return Verdict(0.0, 0.0, 0.0)
+    few = with_depth < 12  # a frame without depth is judged by its brightness alone
+    return Verdict(seen / max(len(coarse), 1), bright / max(seen, 1), 1.0 if few else near / with_depth)
+
+
+def recover(
+    frame: Frame, keyframe: Keyframe, guesses: list[Array], affine: Array, index: Index, noise: Noise
+) -> tuple[Tracked, Verdict]:
+    """Try again from each guess of T_frame_kf with all candidates and the widest pyramid, no prior; the best one.
+
+    The finest level keeps the chosen points `index`.
+    """
+    free = np.diag([1e-2] * 6)
+    everyone = np.arange(len(keyframe.points.uv))
+    best: tuple[Tracked, Verdict] | None = None
+    for guess in guesses:
+        tracked = track_frame(frame, keyframe, guess, affine, index, everyone, free, noise, LEVELS)
+        verdict = verify(frame, keyframe, tracked, noise)
+        if best is None or verdict.score > best[1].score:
+            best = (tracked, verdict)
+        if not best[1].doubt(WEAK_BELOW):
+            break
+    assert best is not None  # guesses is never empty
+    return best

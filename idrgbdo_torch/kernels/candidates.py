@@ -7,7 +7,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from .alignment import PATTERN_U, PATTERN_V
+from .model import PATTERN_U, PATTERN_V
 from .sampling import sample
 
 

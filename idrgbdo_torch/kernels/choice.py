@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from math import log, sqrt
+from math import exp, log, sqrt
 
 import numpy as np
 from numba import njit
 
-from .alignment import PATTERN_U, distortion_weight, photometric_variance
+from .model import PATTERN_U, distortion_weight, photometric_variance
 from .sampling import sample, sample_inverse_depth
 
 
@@ -186,18 +186,19 @@ def close(free, where, best, distance2):
 
 
 @njit(cache=True, nogil=True)
-def verify(image, depth, cam, level, points, patch_level, index, T, affine, noise, limit):
-    """How well a pose explains many points: (seen, photometric inliers, with depth, depth inliers, median |r|)."""
+def verify(image, depth, cam, level, points, patch, index, T, affine, noise, limit):
+    """How many points a pose explains: (seen, agreeing in brightness, with depth, agreeing in depth).
+
+    patch: (N, P) reference intensities of the level; limit: gray levels.
+    """
     fx, fy, cx, cy = cam[0], cam[1], cam[2], cam[3]
     size = 0.5**level
     up = 1.0 / size
-    gain = np.exp(affine[0])
+    gain = exp(affine[0])
     seen = 0
-    photo = 0
+    bright = 0
     with_depth = 0
-    agree = 0
-    occluded = 0
-    residuals = np.empty(index.shape[0])
+    near = 0
     for n in range(index.shape[0]):
         p = index[n]
         d = points.inv_depth[p]
@@ -213,22 +214,16 @@ def verify(image, depth, cam, level, points, patch_level, index, T, affine, nois
         ok, value, _gu, _gv = sample(image, u, v)
         if not ok:
             continue
-        r = abs(value - gain * patch_level[p, 0] - affine[1])
-        residuals[seen] = r
         seen += 1
-        if r < limit:
-            photo += 1
+        if abs(value - gain * patch[p, 0] - affine[1]) < limit:
+            bright += 1
         ok, measured, _gu, _gv = sample_inverse_depth(depth, (u + 0.5) * up - 0.5, (v + 0.5) * up - 0.5, 0.1)
         if ok:
             with_depth += 1
             rho = d / qz
-            off = measured - rho
-            if abs(off) < 4.0 * sqrt(noise.var_depth + points.var_inv_depth[p]) + 0.02 * rho:
-                agree += 1
-            elif off > 0.0:
-                occluded += 1
-    median = np.median(residuals[:seen]) if seen > 0 else 255.0
-    return seen, photo, with_depth, agree, occluded, median
+            if abs(measured - rho) < 4.0 * sqrt(noise.var_depth + points.var_inv_depth[p]) + 0.02 * rho:
+                near += 1
+    return seen, bright, with_depth, near
 
 
 PIXELS = PATTERN_U.shape[0]

@@ -14,8 +14,8 @@ def sample(image, u, v):
     height, width = image.shape
     if not (u >= 1.0 and v >= 1.0 and u < width - 2.0 and v < height - 2.0):
         return False, 0.0, 0.0, 0.0
-    iu = int(floor(u))
-    iv = int(floor(v))
+    iu = floor(u)
+    iv = floor(v)
     fu = u - iu
     fv = v - iv
     i00 = np.float64(image[iv, iu])
@@ -49,8 +49,8 @@ def sample_inverse_depth(depth, u, v, agreement):
     height, width = depth.shape
     if not (u >= 0.0 and v >= 0.0 and u < width - 1.0 and v < height - 1.0):
         return False, 0.0, 0.0, 0.0
-    iu = int(floor(u))
-    iv = int(floor(v))
+    iu = floor(u)
+    iv = floor(v)
     z00 = np.float64(depth[iv, iu])
     z01 = np.float64(depth[iv, iu + 1])
     z10 = np.float64(depth[iv + 1, iu])

@@ -1,0 +1,77 @@
+"""Candidate points of a keyframe (section 4.1, steps 1 and 2): high gradient, on a grid, Canny edges first."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from .config import Config
+from .frame import Frame, Keyframe
+from .kernels import candidates as fused
+from .kernels.model import PATTERN_U, Points
+from .selection import grid_cells
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+BLOCK = 32  # px, region of the adaptive threshold (DSO)
+THRESHOLD_OFFSET = 7.0  # gray levels above the region's median gradient (DSO)
+CANNY = (50, 200)  # gray levels (RGBDTAM)
+PLANE_RADIUS = 3  # px, neighbourhood that a point's inverse depth is fitted to
+BORDER = 4  # px, room for the patch and its gradients
+EVERYWHERE = 4  # px, side of a grid cell in mode "inf": as good as no grid, without patches on top of each other
+
+
+def make_keyframe(frame: Frame, config: Config, rng: Generator) -> Keyframe:
+    """Extract the candidates of a frame and everything that tracking needs of them."""
+    uv, inv_depth, tier = extract_candidates(frame, config, rng)
+    patch, gradient = fused.sample_patches(frame.images, uv, PATTERN_U.shape[0])
+    camera = frame.camera
+    radius = np.hypot(uv[:, 0] - camera.cx, uv[:, 1] - camera.cy)
+    radius /= max(radius.max(initial=0.0), 1.0)
+    variance = np.full(len(uv), inverse_depth_sigma(config) ** 2)
+    points = Points(uv, inv_depth, variance, patch, gradient)
+    coarse = spread_out(uv, config.tracking.points_coarse, camera.width, camera.height)
+    return Keyframe(frame, points, inv_depth, variance, radius, tier, coarse)
+
+
+def inverse_depth_sigma(config: Config) -> float:
+    """Eq. 10 as a number (camera.inverse_depth_sigma is its home)."""
+    return config.noise.sigma_disparity / config.noise.focal_baseline
+
+
+def extract_candidates(frame: Frame, config: Config, rng: Generator) -> tuple[Array, Array, Index]:
+    """uv (N, 2), inverse depth (N,), tier (N,) of the pixels worth choosing from; rand takes any pixel with depth."""
+    mode = config.selection.mode
+    sigma = inverse_depth_sigma(config)
+    height, width = frame.depth.shape
+    if mode == "rand":
+        tries = 2 * config.selection.candidates
+        u = rng.integers(BORDER, width - BORDER, tries)
+        v = rng.integers(BORDER, height - BORDER, tries)
+        uv: Array = rng.permutation(np.unique(np.column_stack([u, v]), axis=0)).astype(np.float64)
+        valid, inv_depth = fused.planes_at(frame.depth, uv, PLANE_RADIUS, sigma)
+        keep = np.flatnonzero(valid)[: config.selection.candidates]
+        return uv[keep], inv_depth[keep], np.zeros(len(keep), dtype=np.int64)
+    gradient2 = fused.gradient_squared(frame.images[0])
+    thresholds = fused.block_thresholds(gradient2, BLOCK, THRESHOLD_OFFSET)
+    edges = cv2.Canny(frame.images[0].astype(np.uint8), *CANNY, L2gradient=True) > 0
+    grid = max(EVERYWHERE, round(float(np.sqrt(width * height / config.selection.candidates))))
+    cell = EVERYWHERE if mode == "inf" else grid
+    uv, inv_depth, tier = fused.grid_candidates(
+        gradient2, thresholds, BLOCK, edges, frame.depth, cell, BORDER, PLANE_RADIUS, sigma
+    )
+    return uv, inv_depth, tier
+
+
+def spread_out(uv: Array, count: int, width: int, height: int) -> Index:
+    """About `count` indices spread evenly over the image, always the same ones."""
+    if len(uv) <= count:
+        return np.arange(len(uv))
+    order = np.random.default_rng(0).permutation(len(uv))
+    _, first = np.unique(grid_cells(uv[order], count, width, height), return_index=True)
+    chosen = order[first]
+    rest = np.setdiff1d(order, chosen, assume_unique=True)
+    return np.sort(np.concatenate([chosen, rest])[:count])

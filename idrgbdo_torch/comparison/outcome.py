@@ -1,0 +1,113 @@
+"""One method on one sequence with one seed: what is remembered, and when it counts as done."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from ..errors import IdRgbdoError
+from ..methods import Kind, Method
+
+EXTERNAL = "external"  # the kind of a trajectory that another program wrote
+RESULTS = "results.jsonl"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A line of results.jsonl. None stands for what could not be measured."""
+
+    method: str
+    sequence: str
+    seed: int
+    configuration: str  # digest of the method's settings and of the sequence's frames
+    versions: Mapping[str, str]
+    description: str = ""
+    kind: Kind | str = "baseline"
+    error: str = ""  # why there is nothing else: the method broke
+    frames: int = 0
+    tracked: int = 0
+    weak: int = 0  # of the tracked ones
+    lost: int = 0
+    reasons: Mapping[str, int] = field(default_factory=dict)  # why frames were lost, and how many
+    keyframes: int = 0
+    ate_rmse_m: float | None = None
+    rpe_rmse_m_per_s: float | None = None
+    k2fe_mean_m: float | None = None  # where the method has keyframes
+    track_ms_median: float | None = None
+    track_ms_p95: float | None = None
+    decode_ms_median: float | None = None
+    peak_memory_mb: float | None = None  # of a process that does nothing else, libraries included
+    date: str = ""
+    machine: str = ""
+    folder: str = ""  # of the run, relative to the comparison's
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """What makes a second run of the same kind superfluous."""
+        versions = json.dumps(dict(self.versions), sort_keys=True)
+        return (self.method, self.sequence, str(self.seed), self.configuration, versions)
+
+
+def read_outcomes(folder: Path) -> dict[tuple[str, ...], Outcome]:
+    """All outcomes by key, the last of equal ones. A line that a killed process left half written is no outcome."""
+    path = folder / RESULTS
+    if not path.exists():
+        return {}
+    known = {item.name for item in fields(Outcome)}
+    outcomes = {}
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            data = json.loads(line)
+        except json.JSONDecodeError:
+            continue
+        outcome = Outcome(**{name: value for name, value in data.items() if name in known})
+        outcomes[outcome.key] = outcome
+    return outcomes
+
+
+def append_outcome(folder: Path, outcome: Outcome) -> None:
+    """Add a line, on the disk when this returns. Raises IdRgbdoError where the folder cannot be written."""
+    path = folder / RESULTS
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        torn = path.exists() and path.read_bytes()[-1:] not in (b"", b"\n")
+        with path.open("a", encoding="utf-8") as file:
+            file.write(("\n" if torn else "") + json.dumps(asdict(outcome)) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise IdRgbdoError(f"out: cannot write '{path}': {error.strerror}; pass another --out") from error
+
+
+def versions_of(libraries: tuple[str, ...]) -> dict[str, str]:
+    """The installed versions of this package and of the named distributions; "none" where one is missing."""
+    versions = {}
+    for name in ("idrgbdo_torch", *libraries):
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = "none"
+    return versions
+
+
+def configuration_digest(method: Method, frames: str) -> str:
+    """A short digest of the method's settings and of what tells the frames apart."""
+    return hashlib.sha256(f"{method.settings()}\n{frames}".encode()).hexdigest()[:12]
+
+
+def machine_name() -> str:
+    """Processor, cores, system and Python: what times depend on."""
+    name = platform.processor()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        models = [line for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
+        name = models[0].partition(":")[2].strip() if models else name
+    return (
+        f"{name or platform.machine()}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
+    )

@@ -1,0 +1,156 @@
+"""The tables of a comparison as cells: what the terminal, Markdown, CSV and the page show."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from .summary import Agreement, Comparison, Row, Spread
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column: its title with the unit, and what stands in a row's cell."""
+
+    title: str
+    cell: Callable[[Row], str]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Titles and cells."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def _millimetres(name: str) -> Callable[[Row], str]:
+    return lambda row: _spread(row.spread(name), 1000.0, seeds=bool(row.sequence))
+
+
+def _number(name: str, digits: int, suffix: str = "") -> Callable[[Row], str]:
+    def cell(row: Row) -> str:
+        value = getattr(row, name)
+        return "" if value is None else f"{value:.{digits}f}{suffix}"
+
+    return cell
+
+
+COLUMNS = (
+    Column("method", lambda row: row.method),
+    Column("ATE mm", _millimetres("ate_rmse_m")),
+    Column("RPE mm/s", _millimetres("rpe_rmse_m_per_s")),
+    Column("K2FE mm", _millimetres("k2fe_mean_m")),
+    Column(
+        "tracked", lambda row: f"{row.frames - row.lost}/{row.frames}" + (f" ({row.weak} weak)" if row.weak else "")
+    ),
+    Column("ms median", _number("track_ms", 1)),
+    Column("ms 95 %", _number("track_ms_p95", 1)),
+    Column("speed", _number("speedup", 1, " x")),
+    Column("MB", _number("peak_memory_mb", 0)),
+    Column("lost because", lambda row: row.error or next((f"{n} x {why}" for why, n in row.reasons.items()), "")),
+)
+LEGEND = (
+    "ATE: RMSE after rigid alignment without scale. RPE: RMSE of the drift over 1 s. K2FE: mean error of a frame "
+    "against its keyframe, where a method has keyframes. ms: in track() alone, decoding excluded. speed: how many times "
+    "as fast as the fastest baseline. MB: peak memory of a process of its own, libraries included. Where a method is "
+    "random: mean ± standard deviation (worst) over seeds."
+)
+
+
+def tables(comparison: Comparison) -> list[Table]:
+    """Over all sequences where there are several, then each sequence, then who agrees with whom."""
+    found = []
+    if len(comparison.sequences) > 1:
+        rows = comparison.rows()
+        found.append(_table(f"mean over {len(comparison.sequences)} sequences", rows))
+    for sequence in comparison.sequences:
+        found.append(_table(sequence, comparison.rows(sequence)))
+    return found + [_agreement(comparison.agreement(sequence)) for sequence in comparison.sequences]
+
+
+def to_markdown(comparison: Comparison) -> str:
+    """All tables, the legend, the machine and the versions."""
+    parts = [_markdown(table) for table in tables(comparison)]
+    return "\n\n".join([*parts[:1], LEGEND, *parts[1:], provenance(comparison)]) + "\n"
+
+
+def provenance(comparison: Comparison) -> str:
+    """When, where and with which versions the figures came about."""
+    dates = sorted({outcome.date[:10] for outcome in comparison.outcomes if outcome.date})
+    machines = sorted({outcome.machine for outcome in comparison.outcomes if outcome.machine})
+    versions = sorted({f"{name} {v}" for outcome in comparison.outcomes for name, v in outcome.versions.items()})
+    when = dates[0] if len(set(dates)) == 1 else " to ".join((dates[0], dates[-1])) if dates else "undated"
+    return f"Measured {when} on {'; '.join(machines) or 'an unknown machine'}. Versions: {', '.join(versions)}."
+
+
+def to_csv(comparison: Comparison) -> str:
+    """A line for each method on each sequence, figures in metres and seconds, spreads in columns of their own."""
+    buffer = io.StringIO()
+    lines = [_flat(row) for sequence in comparison.sequences for row in comparison.rows(sequence)]
+    writer = csv.DictWriter(buffer, fieldnames=list(lines[0]) if lines else [], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(lines)
+    return buffer.getvalue()
+
+
+def to_json(comparison: Comparison) -> str:
+    """Everything: rows, single outcomes, and agreement."""
+    return json.dumps(
+        {
+            "rows": [_flat(row) for sequence in ("", *comparison.sequences) for row in comparison.rows(sequence)],
+            "agreement": [asdict(comparison.agreement(sequence)) for sequence in comparison.sequences],
+            "outcomes": [asdict(outcome) for outcome in comparison.outcomes],
+        },
+        indent=1,
+    )
+
+
+def _table(title: str, rows: list[Row]) -> Table:
+    shown = [column for column in COLUMNS if column.title == "method" or any(column.cell(row) for row in rows)]
+    cells = tuple(tuple(column.cell(row) for column in shown) for row in rows)
+    return Table(title, tuple(column.title for column in shown), cells)
+
+
+def _agreement(agreement: Agreement) -> Table:
+    numbers = {name: str(number) for number, name in enumerate(agreement.methods, start=1)}
+    rows = tuple(
+        (f"{numbers[a]} {a}", *("" if value is None else f"{1000 * value:.1f}" for value in row))
+        for a, row in zip(agreement.methods, agreement.rpe_m_per_s, strict=True)
+    )
+    title = f"{agreement.sequence}: RPE between methods, mm/s (needs no reference)"
+    return Table(title, ("method", *numbers.values()), rows)
+
+
+def _spread(spread: Spread | None, factor: float, seeds: bool) -> str:
+    """Mean, with deviation and worst where that is over seeds."""
+    if spread is None:
+        return ""
+    mean = f"{factor * spread.mean:.2f}"
+    if spread.count == 1 or not seeds:
+        return mean
+    return f"{mean} ± {factor * spread.std:.2f} ({factor * spread.worst:.2f})"
+
+
+def _markdown(table: Table) -> str:
+    lines = [table.columns, tuple("---" if i == 0 else "---:" for i in range(len(table.columns))), *table.rows]
+    return "\n".join([f"### {table.title}", "", *("| " + " | ".join(line) + " |" for line in lines)])
+
+
+def _flat(row: Row) -> dict[str, Any]:
+    """A row as plain columns."""
+    flat: dict[str, Any] = {"method": row.method, "sequence": row.sequence or "all", "description": row.description}
+    for name in ("ate_rmse_m", "rpe_rmse_m_per_s", "k2fe_mean_m"):
+        spread = row.spread(name)
+        for part in ("mean", "std", "worst"):
+            flat[f"{name}_{part}"] = None if spread is None else getattr(spread, part)
+    for name in ("frames", "lost", "weak", "track_ms", "track_ms_p95", "speedup", "peak_memory_mb", "error"):
+        flat[name] = getattr(row, name)
+    flat["runs"] = len(row.outcomes)
+    flat["lost_because"] = "; ".join(f"{count} x {reason}" for reason, count in row.reasons.items())
+    return flat

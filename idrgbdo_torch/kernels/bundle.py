@@ -1,0 +1,247 @@
+"""Fused linearisation of the sliding window: every point of every keyframe against every other keyframe."""
+
+from __future__ import annotations
+
+from math import exp, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from .lie import adjoint, inverse
+from .model import PATTERN_U, PATTERN_V, distortion_weight, photometric_variance
+from .sampling import sample, sample_inverse_depth
+
+
+class WindowPoints(NamedTuple):
+    """Points of all keyframes, padded to the same number a keyframe."""
+
+    uv: np.ndarray  # (K, N, 2) float64 px
+    patch: np.ndarray  # (K, N, P) float32 gray levels
+    gradient: np.ndarray  # (K, N, P, 2) float32
+    measured: np.ndarray  # (K, N) float64 1/m, the sensor's inverse depth
+    variance: np.ndarray  # (K, N) float64 (1/m)^2 of it
+    valid: np.ndarray  # (K, N) bool
+
+
+@njit(cache=True, nogil=True)
+def linearise_window(
+    images, depths, slots, cam, T_cam_world, T_linear, affine, inv_depth, points, hosts, limit, noise,
+    H, b, Hd, cross, bd, rms
+):  # fmt: skip
+    """Normal equations of the window.
+
+    images, depths: (S, H, W) slot buffers; slots (K,). T_cam_world (K, 4, 4): where residuals are taken; T_linear:
+    where geometric Jacobians are taken (first estimates). affine (K, 2). hosts (K,) bool: whose points take part.
+    Fills H (8K, 8K), b (8K,) of the poses and brightness, Hd (K, N), bd (K, N) of the inverse depths,
+    cross (K, N, 8K), rms (K, N, K) whitened, -1 unseen. Returns the energy.
+    """
+    K, N = inv_depth.shape
+    fx, fy, cx, cy = cam[0], cam[1], cam[2], cam[3]
+    H[:] = 0.0
+    b[:] = 0.0
+    Hd[:] = 0.0
+    bd[:] = 0.0
+    cross[:] = 0.0
+    rms[:] = -1.0
+    energy = 0.0
+    huber = noise.huber
+    L = np.empty((9, 9))  # [v, w, a, b, d] of one point in one target
+    l = np.empty(9)
+    J = np.empty((2, 7))
+    Jz = np.empty(7)
+    pixels = points.patch.shape[2]
+    for host in range(K):
+        if not hosts[host]:
+            continue
+        # the measurement of every point's own sensor
+        for n in range(N):
+            if points.valid[host, n]:
+                r = inv_depth[host, n] - points.measured[host, n]
+                w = 1.0 / points.variance[host, n]
+                energy += w * r * r
+                Hd[host, n] += w
+                bd[host, n] -= w * r
+        for target in range(K):
+            if target == host:
+                continue
+            T = T_cam_world[target] @ inverse(T_cam_world[host])
+            T0 = T_linear[target] @ inverse(T_linear[host])
+            image = images[slots[target]]
+            depth = depths[slots[target]]
+            gain = exp(affine[target, 0] - affine[host, 0])
+            chain = np.zeros((8, 8))  # increments of the relative state by those of the host
+            chain[:6, :6] = -adjoint(T0)
+            chain[6, 6] = -1.0
+            chain[7, 7] = -gain
+            pair = np.zeros((8, 8))
+            pair_b = np.zeros(8)
+            for n in range(N):
+                if not points.valid[host, n]:
+                    continue
+                d = inv_depth[host, n]
+                if d <= 1e-3:
+                    continue
+                mx = (points.uv[host, n, 0] - cx) / fx
+                my = (points.uv[host, n, 1] - cy) / fy
+                qx = T[0, 0] * mx + T[0, 1] * my + T[0, 2] + T[0, 3] * d
+                qy = T[1, 0] * mx + T[1, 1] * my + T[1, 2] + T[1, 3] * d
+                qz = T[2, 0] * mx + T[2, 1] * my + T[2, 2] + T[2, 3] * d
+                if qz < 1e-3:
+                    continue
+                iz = 1.0 / qz
+                x = qx * iz
+                y = qy * iz
+                rho = d * iz
+                a00 = (T[0, 0] - x * T[2, 0]) * iz
+                a01 = (T[0, 1] - x * T[2, 1]) * iz * fx / fy
+                a10 = (T[1, 0] - y * T[2, 0]) * iz * fy / fx
+                a11 = (T[1, 1] - y * T[2, 1]) * iz
+                area = a00 * a11 - a01 * a10
+                if area <= 0.0:
+                    continue
+                h = distortion_weight(area, noise.c_h)
+                b00, b01, b10, b11 = a11 / area, -a10 / area, -a01 / area, a00 / area
+                G00 = G01 = G11 = G02 = G12 = G03 = G13 = G22 = G23 = G33 = 0.0
+                c0 = c1 = c2 = c3 = 0.0
+                e = 0.0
+                sum2 = 0.0
+                inside = True
+                for k in range(pixels):
+                    ou = PATTERN_U[k] / fx
+                    ov = PATTERN_V[k] / fy
+                    kz = qz + T[2, 0] * ou + T[2, 1] * ov
+                    if kz < 1e-3:
+                        inside = False
+                        break
+                    kx = qx + T[0, 0] * ou + T[0, 1] * ov
+                    ky = qy + T[1, 0] * ou + T[1, 1] * ov
+                    ok, value, gu, gv = sample(image, fx * kx / kz + cx, fy * ky / kz + cy)
+                    if not ok:
+                        inside = False
+                        break
+                    reference = gain * (points.patch[host, n, k] - affine[host, 1])
+                    r = value - reference - affine[target, 1]
+                    ru = np.float64(points.gradient[host, n, k, 0])
+                    rv = np.float64(points.gradient[host, n, k, 1])
+                    su = b00 * ru + b01 * rv
+                    sv = b10 * ru + b11 * rv
+                    # inverse depth is a state here: its noise must not count a second time
+                    variance = h * photometric_variance(su, sv, 0.0, 0.0, 0.0, noise)
+                    gu = (1.0 - noise.gradient_blend) * gu + noise.gradient_blend * su
+                    gv = (1.0 - noise.gradient_blend) * gv + noise.gradient_blend * sv
+                    w = 1.0 / variance
+                    s2 = r * r * w
+                    s = sqrt(s2)
+                    sum2 += s2
+                    if s > huber:
+                        e += huber * (2.0 * s - huber)
+                        w *= huber / s
+                    else:
+                        e += s2
+                    G00 += w * gu * gu
+                    G01 += w * gu * gv
+                    G11 += w * gv * gv
+                    G02 -= w * gu * reference
+                    G12 -= w * gv * reference
+                    G03 -= w * gu
+                    G13 -= w * gv
+                    G22 += w * reference * reference
+                    G23 += w * reference
+                    G33 += w
+                    c0 -= w * gu * r
+                    c1 -= w * gv * r
+                    c2 += w * reference * r
+                    c3 += w * r
+                if not inside:
+                    continue
+                point = sqrt(sum2 / pixels)
+                rms[host, n, target] = point
+                if point > limit:
+                    energy += limit * limit * pixels
+                    continue
+                energy += e
+                # geometry at the linearisation point
+                qx0 = T0[0, 0] * mx + T0[0, 1] * my + T0[0, 2] + T0[0, 3] * d
+                qy0 = T0[1, 0] * mx + T0[1, 1] * my + T0[1, 2] + T0[1, 3] * d
+                qz0 = T0[2, 0] * mx + T0[2, 1] * my + T0[2, 2] + T0[2, 3] * d
+                iz0 = 1.0 / max(qz0, 1e-3)
+                x0 = qx0 * iz0
+                y0 = qy0 * iz0
+                rho0 = d * iz0
+                J[0, 0] = fx * rho0
+                J[0, 1] = 0.0
+                J[0, 2] = -fx * rho0 * x0
+                J[0, 3] = -fx * x0 * y0
+                J[0, 4] = fx * (1.0 + x0 * x0)
+                J[0, 5] = -fx * y0
+                J[0, 6] = fx * (T0[0, 3] - x0 * T0[2, 3]) * iz0
+                J[1, 0] = 0.0
+                J[1, 1] = fy * rho0
+                J[1, 2] = -fy * rho0 * y0
+                J[1, 3] = -fy * (1.0 + y0 * y0)
+                J[1, 4] = fy * x0 * y0
+                J[1, 5] = fy * x0
+                J[1, 6] = fy * (T0[1, 3] - y0 * T0[2, 3]) * iz0
+                for i in range(7):
+                    row = i if i < 6 else 8
+                    g0 = J[0, i] * G00 + J[1, i] * G01
+                    g1 = J[0, i] * G01 + J[1, i] * G11
+                    for j in range(7):
+                        L[row, j if j < 6 else 8] = g0 * J[0, j] + g1 * J[1, j]
+                    L[row, 6] = J[0, i] * G02 + J[1, i] * G12
+                    L[row, 7] = J[0, i] * G03 + J[1, i] * G13
+                    L[6, row] = L[row, 6]
+                    L[7, row] = L[row, 7]
+                    l[row] = J[0, i] * c0 + J[1, i] * c1
+                L[6, 6] = G22
+                L[6, 7] = G23
+                L[7, 6] = G23
+                L[7, 7] = G33
+                l[6] = c2
+                l[7] = c3
+                if noise.use_depth:
+                    ok, measured, gu, gv = sample_inverse_depth(depth, fx * x + cx, fy * y + cy, 0.05)
+                    if ok:
+                        r = measured - rho
+                        w = 1.0 / (noise.var_depth + noise.var_pixel * (gu * gu + gv * gv))
+                        s = sqrt(r * r * w)
+                        if s > 6.0 * huber:
+                            energy += 11.0 * huber * huber
+                        else:
+                            if s > huber:
+                                energy += huber * (2.0 * s - huber)
+                                w *= huber / s
+                            else:
+                                energy += s * s
+                            for i in range(7):
+                                Jz[i] = gu * J[0, i] + gv * J[1, i]
+                            Jz[2] += rho0 * rho0
+                            Jz[3] += rho0 * y0
+                            Jz[4] -= rho0 * x0
+                            Jz[6] -= iz0 * (1.0 - rho0 * T0[2, 3])
+                            for i in range(7):
+                                row = i if i < 6 else 8
+                                for j in range(7):
+                                    L[row, j if j < 6 else 8] += w * Jz[i] * Jz[j]
+                                l[row] -= w * Jz[i] * r
+                pair += L[:8, :8]
+                pair_b += l[:8]
+                Hd[host, n] += L[8, 8]
+                bd[host, n] += l[8]
+                for i in range(8):
+                    cross[host, n, 8 * target + i] += L[8, i]
+                    s = 0.0
+                    for j in range(8):
+                        s += chain[j, i] * L[8, j]
+                    cross[host, n, 8 * host + i] += s
+            across = pair @ chain
+            ho = slice(8 * host, 8 * host + 8)
+            ta = slice(8 * target, 8 * target + 8)
+            H[ta, ta] += pair
+            H[ta, ho] += across
+            H[ho, ta] += across.T
+            H[ho, ho] += chain.T @ across
+            b[ta] += pair_b
+            b[ho] += chain.T @ pair_b
+    return energy

@@ -1,0 +1,49 @@
+"""When a frame becomes a keyframe (section 5.1): the entropy of each degree of freedom, and the decision."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from .config import KeyframeConfig
+from .information import entropy_bits
+
+REFERENCE_FRAMES = 3  # the reference is the median over the first frames after the keyframe
+SURE_BITS = -0.5  # the ratio of Eq. 20 means nothing where the reference entropy is not clearly negative
+
+
+def freedom_entropies_bits(information: Tensor) -> Tensor:
+    """Entropy (..., 6) in bits of each degree of freedom [v, w] in metres and radians, given the others.
+
+    The conditional covariance of Eq. 14 of one variable given the rest is 1 / Lambda_kk. A degree of freedom without
+    information has infinite entropy.
+    """
+    variance = 1.0 / information.double().diagonal(dim1=-2, dim2=-1)  # (..., 6)
+    entropies = entropy_bits(variance.clamp(max=1e300)[..., None, None])
+    return torch.where(variance.isfinite(), entropies, torch.inf)
+
+
+def entropy_decrement(entropy: Tensor, reference: Tensor) -> Tensor:
+    """Eq. (20). H*_Delta(x, x_0) = 1 - H*(x) / H*(x_0) (..., 6), as printed; positive when certainty has been lost.
+
+    Only meaningful while both entropies are negative, which depends on the unit (metres, radians).
+    """
+    return 1.0 - entropy / reference
+
+
+def lost_certainty(entropy: Tensor, reference: Tensor, criterion: str) -> Tensor:
+    """How much less is known of each degree of freedom (..., 6) than at the reference, by the configured criterion.
+
+    "bits" is log2(sigma / sigma_0) = H* - H*_0 and knows no units; "ratio" is Eq. 20 where it is meaningful, else bits.
+    """
+    bits = entropy - reference
+    if criterion == "bits":
+        return bits
+    return torch.where(reference < SURE_BITS, entropy_decrement(entropy, reference), bits)
+
+
+def wants_keyframe(history: list[Tensor], config: KeyframeConfig) -> bool:
+    """Whether any degree of freedom has lost too much; history: entropies (6,) tracked since the keyframe."""
+    reference = torch.stack(history[:REFERENCE_FRAMES]).median(dim=0).values
+    threshold = config.threshold_bits if config.criterion == "bits" else config.threshold_ratio
+    return bool(lost_certainty(history[-1], reference, config.criterion).max() > threshold)

@@ -1,0 +1,86 @@
+"""Keyframe marginalisation (section 5.2): Schur complement, linearised prior, redundancy by mutual information."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from .information import mutual_information_bits
+
+
+def partition(H: Tensor, b: Tensor, marginal: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Eq. (21). The normal equations H (n, n) y = b (n,) split into kept (alpha) and marginalised (beta) blocks.
+
+    marginal: (n,) bool, true for beta. Returns H_aa, H_ab, H_bb, b_a, b_b.
+    """
+    keep = ~marginal
+    return H[keep][:, keep], H[keep][:, marginal], H[marginal][:, marginal], b[keep], b[marginal]
+
+
+def schur_information(H_aa: Tensor, H_ab: Tensor, H_bb: Tensor) -> Tensor:
+    """Eq. (22). H*_a = H_aa - H_ab H_bb^-1 H_ba, symmetrised, negative eigenvalues clipped to zero.
+
+    Computed on a diagonally scaled H_bb, because metres, radians and gray levels differ by many orders of magnitude.
+    """
+    H_star = H_aa - H_ab @ scaled_solve(H_bb, H_ab.mT)
+    eigenvalues, vectors = torch.linalg.eigh(0.5 * (H_star + H_star.mT))
+    clipped: Tensor = (vectors * eigenvalues.clamp(min=0.0)) @ vectors.mT
+    return clipped
+
+
+def schur_gradient(b_a: Tensor, H_ab: Tensor, H_bb: Tensor, b_b: Tensor) -> Tensor:
+    """Eq. (23). b*_a = b_a - H_ab H_bb^-1 b_b."""
+    return b_a - H_ab @ scaled_solve(H_bb, b_b[:, None])[:, 0]
+
+
+def scaled_solve(A: Tensor, B: Tensor) -> Tensor:
+    """A^-1 B of a symmetric positive semi-definite A (n, n), by its pseudo-inverse after scaling to unit diagonal."""
+    scale = A.diagonal().clamp(min=1e-300).rsqrt()
+    scale = torch.where(A.diagonal() > 1e-12, scale, torch.zeros_like(scale))
+    inverse = torch.linalg.pinv(scale[:, None] * A * scale, rtol=1e-12, hermitian=True)
+    solution: Tensor = scale[:, None] * (inverse @ (scale[:, None] * B))
+    return solution
+
+
+@dataclass(frozen=True)
+class LinearPrior:
+    """What marginalised variables still say of the kept ones, a quadratic about a fixed linearisation point."""
+
+    H: Tensor  # (n, n) float64
+    b: Tensor  # (n,) float64, at the linearisation point
+
+
+def prior_cost(prior: LinearPrior, delta: Tensor) -> Tensor:
+    """Eq. (24). 1/2 delta^T H* delta - delta^T b*, at the deviation delta (n,) from the linearisation point."""
+    return 0.5 * delta @ prior.H @ delta - delta @ prior.b
+
+
+def prior_gradient(prior: LinearPrior, delta: Tensor) -> Tensor:
+    """Eq. (25). The same quadratic seen from the state delta (n,): b* - H* delta; H* stays (first estimates)."""
+    return prior.b - prior.H @ delta
+
+
+def marginalize(H: Tensor, b: Tensor, marginal: Tensor) -> LinearPrior:
+    """Marginalise the variables where `marginal` (n,) is true; the rest keeps its order (Eqs. 21 to 23)."""
+    H_aa, H_ab, H_bb, b_a, b_b = partition(H, b, marginal)
+    return LinearPrior(schur_information(H_aa, H_ab, H_bb), schur_gradient(b_a, H_ab, H_bb, b_b))
+
+
+def redundancy_bits(information: Tensor) -> Tensor:
+    """Eq. (26). psi(K_j) = sum_i MI(i, j | the rest) of keyframe poses, (K,) bits, from their (6K, 6K) information.
+
+    The conditional covariance of a pair given the rest is the inverse of the pair's block of the information matrix, so
+    nothing has to be inverted but 12 x 12 blocks. i = j is left out (infinite).
+    """
+    K = information.shape[0] // 6
+    blocks = information.reshape(K, 6, K, 6).permute(0, 2, 1, 3)  # (K, K, 6, 6)
+    i, j = torch.triu_indices(K, K, offset=1)
+    top = torch.cat([blocks[i, i], blocks[i, j]], dim=-1)  # (M, 6, 12)
+    bottom = torch.cat([blocks[j, i], blocks[j, j]], dim=-1)
+    pairs = torch.cat([top, bottom], dim=-2)  # (M, 12, 12)
+    scale = pairs.diagonal(dim1=-2, dim2=-1).rsqrt()  # mutual information knows no units, so scale them away
+    sigma = torch.linalg.inv(scale[..., :, None] * pairs * scale[..., None, :])
+    mutual = mutual_information_bits(0.5 * (sigma + sigma.mT), 6)
+    return information.new_zeros(K).index_add(0, i, mutual).index_add(0, j, mutual)
