@@ -15,6 +15,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from idrgbdo_torch.camera import Pinhole
+from idrgbdo_torch.configfile import dump
 from idrgbdo_torch.frame import RgbdFrame
 from idrgbdo_torch.image import gradient, pyramid
 from idrgbdo_torch.se3 import exp, inverse, log
@@ -104,9 +105,17 @@ class DenseFront:
         return Fit(T @ inverse(keyframe.T_world_cam), "", H[:6, :6], pixels, iterations, share)
 
 
+RULE = KeyframeRule()
+
+
 def make() -> KeyframeOdometry[dict[int, Level]]:
     """Dense odometry, frame to keyframe."""
-    return KeyframeOdometry(DenseFront(DenseConfig()), "dense, after DVO", KeyframeRule())
+    return KeyframeOdometry(DenseFront(DenseConfig()), "dense, after DVO", RULE)
+
+
+def settings() -> str:
+    """All settings as TOML."""
+    return dump(DenseConfig()) + dump(RULE)
 
 
 def _level(camera: Pinhole, gray: Tensor, inverse_depth: Tensor, jump: float) -> Level:

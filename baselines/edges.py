@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from idrgbdo_torch.camera import Pinhole, backproject, duv_dP, project
+from idrgbdo_torch.configfile import dump
 from idrgbdo_torch.frame import RgbdFrame
 from idrgbdo_torch.image import pyramid, sample_bilinear
 from idrgbdo_torch.se3 import exp, inverse, transform
@@ -118,9 +119,17 @@ class EdgeFront:
         return Fit(T_cam_world, "", H, points, iterations, points / known)
 
 
+RULE = KeyframeRule(share=0.35)
+
+
 def make() -> KeyframeOdometry[dict[int, Edges]]:
     """Edge odometry, frame to keyframe."""
-    return KeyframeOdometry(EdgeFront(EdgeConfig()), "edges, after Canny-VO", KeyframeRule(share=0.35))
+    return KeyframeOdometry(EdgeFront(EdgeConfig()), "edges, after Canny-VO", RULE)
+
+
+def settings() -> str:
+    """All settings as TOML."""
+    return dump(EdgeConfig()) + dump(RULE)
 
 
 def _detect(gray: Tensor, config: EdgeConfig) -> tuple[Tensor, Tensor, Tensor]:

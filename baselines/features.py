@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from idrgbdo_torch.camera import Pinhole, backproject, duv_dP, inside, project
+from idrgbdo_torch.configfile import dump
 from idrgbdo_torch.frame import RgbdFrame
 from idrgbdo_torch.se3 import exp, inverse, transform
 from idrgbdo_torch.solver import normal_equations, solve
@@ -166,6 +167,14 @@ class FeatureFront:
         return Fit(T_cam_world, "", H, int((squared < 9).sum()), iterations)
 
 
+RULE = KeyframeRule(keep=3)
+
+
 def make() -> KeyframeOdometry[Features]:
     """Feature-based odometry with a local map of the last keyframes."""
-    return KeyframeOdometry(FeatureFront(FeatureConfig()), "features, after ORB-SLAM2", KeyframeRule(keep=3))
+    return KeyframeOdometry(FeatureFront(FeatureConfig()), "features, after ORB-SLAM2", RULE)
+
+
+def settings() -> str:
+    """All settings as TOML."""
+    return dump(FeatureConfig()) + dump(RULE)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.markup import escape
 from tyro.conf import Positional, UseAppendAction
 
 from .configfile import Count, Index
@@ -105,6 +104,7 @@ def choose(known: dict[str, Method], names: str) -> dict[str, Method]:
 def _show(comparison: Comparison) -> None:
     """The tables on a terminal; elsewhere as Markdown, which is as wide as it needs to be."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     from .comparison.table import LEGEND, provenance, tables, to_markdown
@@ -129,6 +129,7 @@ def _progress_bar() -> Iterator[Callable[[Progress], None]]:
     if not sys.stdout.isatty():
         yield lambda progress: None
         return
+    from rich.markup import escape
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 

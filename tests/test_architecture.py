@@ -24,14 +24,16 @@ FLOORS = (
     {"window"},
     {"id_rgbdo"},  # system
     {"datasets", "synthetic", "evaluation", "mapping"},  # world
-    {"runfolder", "report"},
+    {"runfolder"},
+    {"comparison"},
+    {"report"},
     {"experiments", "terminal"},  # doors
-    {"commands"},
+    {"commands", "compare_command"},
     {"cli"},
     {"__main__", "__init__"},
 )
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
-MAY_USE_BASELINES = {"commands", "cli", "experiments"}
+MAY_USE_BASELINES = {"commands", "compare_command", "cli", "experiments"}
 
 
 def module(path: Path) -> tuple[str, ...]:

@@ -72,6 +72,8 @@ def compare(
     for name in names:
         if names.count(name) > 1:
             raise IdRgbdoError(f"sequences: expected different names, got '{name}' twice; rename a folder")
+    by_name = dict(zip(names, sequences, strict=True))
+    outside = [_external_outcome(each, by_name[_sequence_of(each, sources, names)], out) for each in externals]
     done = {} if overwrite else read_outcomes(out)
     machine = machine_name()
     wanted: list[Outcome] = []
@@ -110,10 +112,7 @@ def compare(
             known = replace(outcome, error=answer) if isinstance(answer, str) else replace(outcome, **answer)
             append_outcome(out, known)
         wanted.append(known)
-    by_name = dict(zip(names, zip(sources, sequences, strict=True), strict=True))
-    for external in externals:
-        sequence = by_name[_sequence_of(external, sources, names)][1]
-        outcome = _external_outcome(external, sequence, out)
+    for outcome in outside:
         if outcome.key not in done:
             append_outcome(out, outcome)
         wanted.append(outcome)

@@ -57,9 +57,9 @@ COLUMNS = (
 )
 LEGEND = (
     "ATE: RMSE after rigid alignment without scale. RPE: RMSE of the drift over 1 s. K2FE: mean error of a frame "
-    "against its keyframe, where a method has keyframes. ms: in track() alone, decoding excluded. speed: how many times "
-    "as fast as the fastest baseline. MB: peak memory of a process of its own, libraries included. Where a method is "
-    "random: mean ± standard deviation (worst) over seeds."
+    "against its keyframe, where a method has keyframes. ms: in track() alone, decoding excluded. speed: how many "
+    "times as fast as the fastest baseline. MB: peak memory of a process of its own, libraries included. "
+    "Where a method is random: mean ± standard deviation (worst) over seeds."
 )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -50,6 +51,7 @@ def run_apart(
     process.start()
     theirs.close()
     answer: dict[str, Any] | None = None
+    ended = False
     try:
         while answer is None:
             message = ours.recv()
@@ -57,10 +59,11 @@ def run_apart(
                 answer = message
             else:
                 on_frame(message)
+        ended = True
     except EOFError:
-        pass  # it ended without an answer
+        ended = True  # without an answer
     finally:
-        if answer is None:
+        if not ended:
             process.terminate()
         process.join()
     return answer if answer is not None else _last_words(folder / STDERR, process.exitcode)
@@ -68,46 +71,47 @@ def run_apart(
 
 def _work(connection: Connection, method: Method, seed: int, source: Source, folder: Path) -> None:
     """In the new process: track the sequence, send each status, then the fields."""
-    with (folder / STDERR).open("w", encoding="utf-8") as sys.stderr:
-        sequence = source.open()
-        odometry = method.make(seed)
-        with RunFolder(folder, method.settings()) as run_folder:
+    with (folder / STDERR).open("wb") as file:
+        os.dup2(file.fileno(), 2)  # what libraries in C++ say at their end is of interest too
+    sequence = source.open()
+    odometry = method.make(seed)
+    with RunFolder(folder, method.settings()) as run_folder:
 
-            def on_record(record: Record) -> None:
-                run_folder.append(record)
-                connection.send(record.result.status.value)
+        def on_record(record: Record) -> None:
+            run_folder.append(record)
+            connection.send(record.result.status.value)
 
-            done = run(odometry, sequence, on_record)
-            evaluation = None
-            later_keyframes = [record for record in done.records[1:] if record.result.keyframe]
-            if sequence.groundtruth is not None and len(done.records) > 2:
-                try:
-                    evaluation = evaluate(
-                        done.trajectory(), sequence.groundtruth, measurements(done) if later_keyframes else ()
-                    )
-                except IdRgbdoError:
-                    evaluation = None  # the reference covers too little of the sequence
-            run_folder.finish(done, odometry, evaluation)
-        summary = summarise(done, evaluation)
-        errors, timing = summary.get("evaluation", {}), summary["timing_ms"]
-        lost = [record.result.reason for record in done.records if record.result.status is Status.LOST]
-        connection.send(
-            {
-                "frames": summary["frames"],
-                "tracked": summary["tracked"],
-                "weak": done.statuses.count(Status.WEAK),
-                "lost": summary["lost"],
-                "reasons": dict(Counter(lost).most_common()),
-                "keyframes": summary["keyframes"],
-                "ate_rmse_m": errors.get("ate_rmse_m"),
-                "rpe_rmse_m_per_s": errors.get("rpe_rmse_m_per_s"),
-                "k2fe_mean_m": errors.get("k2fe_mean_m"),
-                "track_ms_median": timing["track_median"],
-                "track_ms_p95": timing["track_p95"],
-                "decode_ms_median": timing["decode_median"],
-                "peak_memory_mb": _peak_memory_mb(),
-            }
-        )
+        done = run(odometry, sequence, on_record)
+        evaluation = None
+        later_keyframes = [record for record in done.records[1:] if record.result.keyframe]
+        if sequence.groundtruth is not None and len(done.records) > 2:
+            try:
+                evaluation = evaluate(
+                    done.trajectory(), sequence.groundtruth, measurements(done) if later_keyframes else ()
+                )
+            except IdRgbdoError:
+                evaluation = None  # the reference covers too little of the sequence
+        run_folder.finish(done, odometry, evaluation)
+    summary = summarise(done, evaluation)
+    errors, timing = summary.get("evaluation", {}), summary["timing_ms"]
+    lost = [record.result.reason for record in done.records if record.result.status is Status.LOST]
+    connection.send(
+        {
+            "frames": summary["frames"],
+            "tracked": summary["tracked"],
+            "weak": done.statuses.count(Status.WEAK),
+            "lost": summary["lost"],
+            "reasons": dict(Counter(lost).most_common()),
+            "keyframes": summary["keyframes"],
+            "ate_rmse_m": errors.get("ate_rmse_m"),
+            "rpe_rmse_m_per_s": errors.get("rpe_rmse_m_per_s"),
+            "k2fe_mean_m": errors.get("k2fe_mean_m"),
+            "track_ms_median": timing["track_median"],
+            "track_ms_p95": timing["track_p95"],
+            "decode_ms_median": timing["decode_median"],
+            "peak_memory_mb": _peak_memory_mb(),
+        }
+    )
 
 
 def _peak_memory_mb() -> float | None:
