@@ -133,8 +133,10 @@ def select(A, seen, where, radius, m, information, spread, c_z, distance):
                 if value > best_value:
                     best_value = value
                     best = i
-        if best < 0 or count >= m:
+        if count >= m:
             break
+        if best < 0:  # no point sees this degree of freedom
+            continue
         chosen[count] = best
         count += 1
         L += A[best].T @ A[best]
