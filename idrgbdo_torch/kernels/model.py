@@ -40,9 +40,9 @@ class Points(NamedTuple):
 @njit(cache=True, nogil=True, inline="always")
 def photometric_variance(gu, gv, du_dd, dv_dd, var_d, noise):
     """Twin of photometric.photometric_variance (Eq. 8)."""
-    along = (gu * du_dd + gv * dv_dd) ** 2
     if noise.paper_variance:
-        along = (gu * du_dd) ** 2 + (gv * dv_dd) ** 2
+        return noise.var_intensity + ((gu * du_dd) ** 2 + (gv * dv_dd) ** 2) * var_d
+    along = (gu * du_dd + gv * dv_dd) ** 2
     return noise.var_intensity + noise.var_pixel * (gu * gu + gv * gv) + noise.shared * along * var_d
 
 
