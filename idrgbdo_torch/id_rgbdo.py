@@ -15,8 +15,9 @@ from .config import Config
 from .frame import Frame, Keyframe, RgbdFrame, prepare
 from .kernels.lie import inverse
 from .keyframe import freedom_entropies_bits, wants_keyframe
+from .mapping import Cloud, condense, keyframe_cloud, world_cloud
 from .odometry import Status, TrackResult
-from .selection import select_points
+from .selection import point_bits, select_points
 from .tracking import (
     LOST_BELOW,
     WEAK_BELOW,
@@ -69,6 +70,8 @@ class IdRgbdo:
         self.keyframe_poses: list[Array] = []  # T_kf_world of every keyframe, refined as long as it is in the window
         self.keyframe_times: list[float] = []
         self.in_window: list[int] = []  # which of them that are
+        self.clouds: list[Cloud] = []  # map points of every keyframe
+        self.last: tuple[Keyframe, Tracked] | None = None  # what the last frame was tracked against
 
     def track(self, rgbd: RgbdFrame) -> TrackResult:
         """The pose of the next frame (sections 4 and 5)."""
@@ -119,6 +122,7 @@ class IdRgbdo:
             return False
         self.keyframe_poses.append(self.T_cam_world)
         self.keyframe_times.append(frame.timestamp)
+        self.clouds.append(keyframe_cloud(keyframe))
         prior = motion_information(self.config, 1.0 / 30.0)
         selection = self.config.selection
         if not selection.per_frame:
@@ -127,6 +131,7 @@ class IdRgbdo:
             m = self.config.window_points
             index = select_points(keyframe, np.eye(4), m, prior, selection, self.noise, self.rng)
             keyframe = self._refine(keyframe, index)
+        self.clouds = condense(self.clouds, self.keyframe_poses, self.in_window)
         self.keyframe, self.T_kf_world = keyframe, self.T_cam_world
         self.affine = np.zeros(2)
         self.entropies = []
@@ -138,8 +143,9 @@ class IdRgbdo:
         self.window.add(keyframe, before, self.affine, index)
         self.in_window.append(len(self.keyframe_poses) - 1)
         self.window.optimise()
-        for number, pose in zip(self.in_window, self.window.T_kf_world, strict=True):
+        for number, pose, refined in zip(self.in_window, self.window.T_kf_world, self.window.keyframes, strict=True):
             self.keyframe_poses[number] = pose
+            self.clouds[number] = keyframe_cloud(refined)
         for k in self.window.shrink():
             self.in_window.pop(k)
         self.T_cam_world = self.window.T_kf_world[-1]
@@ -174,6 +180,7 @@ class IdRgbdo:
         self.times.append(frame.timestamp)
         self.references.append(len(self.keyframe_poses) - 1)
         self.T_cam_kf.append(T_cam_kf)
+        self.last = (self.keyframe, tracked) if tracked and self.keyframe else None
         return TrackResult(
             T_world_cam=torch.from_numpy(T_world_cam),
             status=status,
@@ -195,3 +202,15 @@ class IdRgbdo:
             for T, r in zip(self.T_cam_kf, self.references, strict=True)
         ]
         return Trajectory(torch.tensor(self.times, dtype=torch.float64), torch.from_numpy(np.array(poses)))
+
+    def map_points(self) -> tuple[Tensor, Tensor]:
+        """(N, 3) float32 candidate points of all keyframes in the world, m, and their (N, 3) uint8 RGB colours."""
+        cloud = world_cloud(self.clouds, self.keyframe_poses)
+        return torch.from_numpy(cloud.xyz), torch.from_numpy(cloud.rgb)
+
+    def last_points(self) -> tuple[Tensor, Tensor]:
+        """The points last tracked: (N, 2) px in that frame, and (N,) bits that each adds to what the others know."""
+        if self.last is None:
+            return torch.zeros(0, 2, dtype=torch.float64), torch.zeros(0, dtype=torch.float64)
+        keyframe, tracked = self.last
+        return point_bits(keyframe, tracked.T_frame_kf, tracked.index, self.noise)

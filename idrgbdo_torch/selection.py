@@ -142,3 +142,19 @@ def grid_cells(uv: Array, count: int, width: int, height: int) -> Index:
     columns = int(width / side) + 1
     cells: Index = (uv[:, 1] // side).astype(np.int64) * columns + (uv[:, 0] // side).astype(np.int64)
     return cells
+
+
+def point_bits(keyframe: Keyframe, T_frame_kf: Array, index: Index, noise: Noise) -> tuple[Tensor, Tensor]:
+    """Where a frame sees some candidates, (M, 2) px, and what each adds to all the others, (M,) bits; unseen left out.
+
+    Unlike the gain at its choice, this does not depend on the order: what would be lost without that one point.
+    """
+    camera = keyframe.frame.camera
+    A, seen, where = choice.whitened_rows(
+        keyframe.frame.intrinsics[0], camera.width, camera.height, 0.0, keyframe.points, index, T_frame_kf, noise
+    )
+    rows = torch.from_numpy(A[seen])  # (M, 3, 6)
+    each = rows.mT @ rows  # (M, 6, 6)
+    everything = each.sum(dim=0)
+    floor = torch.diag(1e-6 * everything.diagonal())  # so that few points leave a matrix to invert
+    return torch.from_numpy(where[seen]), gain_bits(rows, everything + floor - each)

@@ -21,9 +21,9 @@ FLOORS = (
     {"odometry", "methods"},
     {"photometric"},  # measurement
     {"selection", "tracking", "keyframe", "marginalization"},  # decisions
-    {"window"},
+    {"candidates", "window", "mapping"},
     {"id_rgbdo"},  # system
-    {"datasets", "synthetic", "evaluation", "mapping"},  # world
+    {"datasets", "synthetic", "evaluation", "figures"},  # world
     {"runfolder"},
     {"comparison"},
     {"report"},
