@@ -20,7 +20,7 @@ class NoiseConfig:
     variance: Literal["first_order", "paper"] = "first_order"  # (g . dp/dd)^2, or the printed sum of squares
     sigma_intensity: Positive = 4.0  # gray levels, of one pixel (LSD-SLAM)
     sigma_pixel: NonNegative = 0.15  # px, position: calibration, blur, interpolation; shared by a patch
-    sigma_disparity: Positive = 0.16  # px, of the depth sensor
+    sigma_disparity: Positive = 0.1  # px, of the depth sensor
     focal_baseline: Positive = 40.0  # px m, f * b of Eq. 10 (Kinect)
     c_h: NonNegative = 1.0  # weight of the projective distortion, Eq. 7
     huber: Positive = 9.0  # gray levels, over sigma_intensity on the whitened residual (DSO)
@@ -39,7 +39,7 @@ class SelectionConfig:
     objective: Literal["bits", "paper"] = "bits"  # Eq. 18 in bits with a weighted spread, or as printed
     candidates: Count = 1200  # kept per keyframe
     margin: NonNegative = 20.0  # px inside the image
-    spread: NonNegative = 0.5  # bits, weight of the second term of Eq. 18
+    spread: NonNegative = 0.25  # bits, weight of the second term of Eq. 18
     c_z: NonNegative = 25.0  # its sharpness: half weight at a fifth of the image radius
     distance: NonNegative = 6.0  # px between chosen points: overlapping patches measure the same thing
 

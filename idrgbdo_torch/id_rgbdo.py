@@ -27,6 +27,7 @@ from .tracking import (
     predict,
     recover,
     track_frame,
+    unsure,
     verify,
 )
 from .trajectory import Trajectory
@@ -95,8 +96,9 @@ class IdRgbdo:
                 tracked, verdict = again, second
         if reason := verdict.doubt(LOST_BELOW):
             return self._lost(frame, reason)
-        reason = verdict.doubt(WEAK_BELOW) or ("the frame before was lost" if self.lost_in_a_row else "")
         entropies = freedom_entropies_bits(torch.from_numpy(tracked.information))
+        after_loss = "the frame before was lost" if self.lost_in_a_row else ""
+        reason = verdict.doubt(WEAK_BELOW) or unsure(entropies) or after_loss
         self.entropies.append(entropies)
         self._move(tracked.T_frame_kf @ self.T_kf_world, 0.0 if self.lost_in_a_row else dt)
         self.affine, self.lost_in_a_row = tracked.affine, 0
@@ -214,3 +216,12 @@ class IdRgbdo:
             return torch.zeros(0, 2, dtype=torch.float64), torch.zeros(0, dtype=torch.float64)
         keyframe, tracked = self.last
         return point_bits(keyframe, tracked.T_frame_kf, tracked.index, self.noise)
+
+    def last_candidates(self) -> Tensor:
+        """(M, 2) px of the candidates that the last frame sees: those it could have been tracked with, else its own."""
+        if self.last is not None:
+            keyframe, tracked = self.last
+            return point_bits(keyframe, tracked.T_frame_kf, np.arange(len(keyframe.points.uv)), self.noise)[0]
+        if self.keyframe is not None and self.keyframe.frame.timestamp == self.times[-1]:
+            return torch.from_numpy(self.keyframe.points.uv)
+        return torch.zeros(0, 2, dtype=torch.float64)

@@ -120,8 +120,18 @@ class Verdict:
         return ""
 
 
-WEAK_BELOW = 0.65  # share of agreeing points under which a pose is doubtful
-LOST_BELOW = 0.56  # and under which it is not used
+WEAK_BELOW = 0.61  # share of agreeing points under which a pose is doubtful
+LOST_BELOW = 0.54  # and under which it is not used
+UNSURE_BITS = -7.45  # entropy of the least certain degree of freedom, about 1.4 mm or 1.4 mrad given the others
+FREEDOMS = ("x", "y", "z", "rotation about x", "rotation about y", "rotation about z")
+
+
+def unsure(entropies: Tensor) -> str:
+    """Why a pose with these entropies (6,) in bits is doubtful however well it fits, empty when it is not."""
+    worst = int(entropies.argmax())
+    if entropies[worst] <= UNSURE_BITS:
+        return ""
+    return f"{FREEDOMS[worst]} is uncertain: {entropies[worst]:.1f} bits"
 
 
 def verify(frame: Frame, keyframe: Keyframe, tracked: Tracked, noise: Noise) -> Verdict:

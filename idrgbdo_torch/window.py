@@ -12,7 +12,8 @@ from .config import Config
 from .frame import Keyframe
 from .kernels import alignment, bundle, model
 from .kernels.bundle import WindowPoints
-from .kernels.lie import log_se3, retract
+from .kernels.lie import inverse, log_se3, retract
+from .kernels.linear import solve_spd
 from .kernels.model import Noise
 from .marginalization import LinearPrior, marginalize, prior_cost, prior_gradient, redundancy_bits
 
@@ -109,7 +110,7 @@ class Window:
         """(8K,) of the state from the linearisation points: log(T T_0^-1) and brightness."""
         out = np.zeros((len(self.keyframes), STEP))
         for k in range(len(self.keyframes)):
-            out[k, :6] = log_se3(self.T_kf_world[k] @ np.linalg.inv(self.T_linear[k]))
+            out[k, :6] = log_se3(self.T_kf_world[k] @ inverse(self.T_linear[k]))
         out[:, 6:] = self.affine - self.affine_linear
         return torch.from_numpy(out.ravel())
 
@@ -146,7 +147,9 @@ class Window:
             b += prior_gradient(self.prior, self.deviation()).numpy()
             H[np.diag_indices_from(H)] *= 1.0 + damping
             H[np.diag_indices_from(H)] += 1e-9
-            step: Array = np.asarray(np.linalg.solve(H, b), dtype=np.float64)
+            solved, step = solve_spd(H, b)
+            if not solved:
+                break
             depth_step = system.depth_step(step)
             saved = (self.T_kf_world, self.affine, self.inv_depth)
             self.T_kf_world = np.stack([retract(step[STEP * k : STEP * k + 6], saved[0][k]) for k in range(K)])
@@ -244,10 +247,8 @@ class Linearised:
 
     def reduced(self) -> tuple[Array, Array]:
         """Inverse depths eliminated by the Schur complement (their block is diagonal)."""
-        weight = (1.0 / np.where(self.Hd > 0.0, self.Hd, np.inf)).ravel()
-        cross = self.cross.reshape(-1, self.H.shape[0])
-        weighted = cross * weight[:, None]
-        return self.H - cross.T @ weighted, self.b - weighted.T @ self.bd.ravel()
+        H, b = bundle.eliminate_depths(self.H, self.b, self.Hd, self.cross, self.bd)
+        return H, b
 
     def depth_step(self, step: Array) -> Array:
         """Back-substitution: the inverse depths' step for a step of poses and brightness."""

@@ -15,10 +15,11 @@ from .linearisation import linearise
 @njit(cache=True, nogil=True)
 def robust_scale(rms):
     """1.4826 MAD-like scale of the points' whitened rms, with a median rms of 0.9 counting as 1."""
-    seen = rms[rms >= 0.0]
-    if seen.size == 0:
+    seen = np.sort(rms)
+    first = np.searchsorted(seen, 0.0)
+    if first == seen.shape[0]:
         return 1.0
-    return max(np.median(seen) / 0.9, 0.5)
+    return max(seen[(first + seen.shape[0]) // 2] / 0.9, 0.5)
 
 
 @njit(cache=True, nogil=True)

@@ -245,3 +245,29 @@ def linearise_window(
             b[ta] += pair_b
             b[ho] += chain.T @ pair_b
     return energy
+
+
+@njit(cache=True, nogil=True)
+def eliminate_depths(H, b, Hd, cross, bd):
+    """Schur complement of the inverse depths, whose block is diagonal: (8K, 8K) and (8K,) of poses and brightness."""
+    n = H.shape[0]
+    K, N = Hd.shape
+    out = H.copy()
+    rhs = b.copy()
+    for k in range(K):
+        for p in range(N):
+            if Hd[k, p] <= 0.0:
+                continue
+            row = cross[k, p]
+            inverse_depth = 1.0 / Hd[k, p]
+            for i in range(n):
+                if row[i] == 0.0:
+                    continue
+                w = row[i] * inverse_depth
+                rhs[i] -= w * bd[k, p]
+                for j in range(i, n):
+                    out[i, j] -= w * row[j]
+    for i in range(n):
+        for j in range(i):
+            out[i, j] = out[j, i]
+    return out, rhs

@@ -7,6 +7,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
+from .linear import solve_spd
 from .model import PATTERN_U, PATTERN_V
 from .sampling import sample
 
@@ -98,7 +99,9 @@ def fit_plane(depth, u, v, radius, sigma):
         return False, 0.0, 0.0, 0.0
     A = np.array([[float(n), sx, sy], [sx, sxx, sxy], [sy, sxy, syy]])
     rhs = np.array([sd, sxd, syd])
-    fit = np.linalg.solve(A, rhs)
+    ok, fit = solve_spd(A, rhs)
+    if not ok:
+        return False, 0.0, 0.0, 0.0
     residual2 = (sdd - fit[0] * sd - fit[1] * sxd - fit[2] * syd) / n
     if residual2 > (2.0 * sigma) ** 2:
         return False, 0.0, 0.0, 0.0

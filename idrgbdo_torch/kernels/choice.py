@@ -7,6 +7,7 @@ from math import exp, log, sqrt
 import numpy as np
 from numba import njit
 
+from .linear import inverse_spd
 from .model import PATTERN_U, distortion_weight, photometric_variance
 from .sampling import sample, sample_inverse_depth
 
@@ -88,7 +89,7 @@ def whitened_rows(cam, width, height, margin, points, index, T, noise):
     return A, seen, where
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def gain_bits(A, C, AC):
     """1/2 log2 det(I_3 + A C A^T): what one point adds, in bits (Eq. 17)."""
     for r in range(3):
@@ -139,44 +140,66 @@ def select(A, seen, where, radius, m, information, spread, c_z, distance):
             continue
         chosen[count] = best
         count += 1
-        L += A[best].T @ A[best]
+        for r in range(3):
+            for i in range(6):
+                for j in range(6):
+                    L[i, j] += A[best, r, i] * A[best, r, j]
         close(free, where, best, distance2)
-    C = np.linalg.inv(L)
-    gains = np.full(n, np.inf)
+    C = inverse_spd(L)
     AC = np.empty((3, 6))
+    gains = np.empty(n)
+    for i in range(n):
+        gains[i] = gain_bits(A[i], C, AC) if free[i] else 0.0
+    fresh = np.full(n, count)  # how many points had been chosen when a gain was computed
+    value = np.empty(n)
     steps = max(1, m - 6)
     z = 1.0
     while count < m:
-        best = -1
-        best_value = -np.inf
-        fresh = np.zeros(n, dtype=np.bool_)
-        while True:
-            best = -1
-            best_value = -np.inf
-            for i in range(n):
-                if free[i]:
-                    value = gains[i] + spread / (c_z * (radius[i] - z) ** 2 + 1.0)
-                    if value > best_value:
-                        best_value = value
-                        best = i
-            if best < 0 or fresh[best]:
-                break
-            gains[best] = gain_bits(A[best], C, AC)
-            fresh[best] = True
-        if best < 0:
+        for i in range(n):
+            value[i] = gains[i] + spread / (c_z * (radius[i] - z) ** 2 + 1.0) if free[i] else -np.inf
+        best = largest(value)
+        while value[best] > -np.inf and fresh[best] < count:
+            gain = gain_bits(A[best], C, AC)
+            value[best] += gain - gains[best]
+            gains[best] = gain
+            fresh[best] = count
+            best = largest(value)
+        if value[best] == -np.inf:
             break
         chosen[count] = best
         count += 1
-        # C <- (C^-1 + A^T A)^-1
-        AC[:] = A[best] @ C
-        S = np.eye(3) + AC @ A[best].T
-        C -= AC.T @ np.linalg.solve(S, AC)
+        for r in range(3):  # C <- (C^-1 + a^T a)^-1, row by row
+            shrink(C, A[best, r])
         close(free, where, best, distance2)
         z = max(0.0, z - 1.0 / steps)
     return chosen[:count]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
+def largest(value):
+    """Index of the largest value, the first of equals."""
+    best = 0
+    for i in range(1, value.shape[0]):
+        if value[i] > value[best]:
+            best = i
+    return best
+
+
+@njit(cache=True, nogil=True)
+def shrink(C, a):
+    """Sherman-Morrison, in place: the covariance after one more whitened row a (6,)."""
+    Ca = np.zeros(6)
+    inner = 1.0
+    for i in range(6):
+        for j in range(6):
+            Ca[i] += C[i, j] * a[j]
+        inner += a[i] * Ca[i]
+    for i in range(6):
+        for j in range(6):
+            C[i, j] -= Ca[i] * Ca[j] / inner
+
+
+@njit(cache=True, nogil=True)
 def close(free, where, best, distance2):
     """Take the chosen point and everything closer than the distance out of the race."""
     for i in range(free.shape[0]):

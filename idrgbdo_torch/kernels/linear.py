@@ -39,3 +39,19 @@ def solve_spd(A, b):
         if not isfinite(x[i]):
             return False, x
     return True, x
+
+
+@njit(cache=True, nogil=True)
+def inverse_spd(A):
+    """Inverse of a symmetric positive definite matrix; zeros where it is not."""
+    n = A.shape[0]
+    out = np.zeros((n, n))
+    unit = np.zeros(n)
+    for i in range(n):
+        unit[:] = 0.0
+        unit[i] = 1.0
+        ok, column = solve_spd(A, unit)
+        if not ok:
+            return np.zeros((n, n))
+        out[:, i] = column
+    return out

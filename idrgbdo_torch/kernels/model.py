@@ -37,7 +37,7 @@ class Points(NamedTuple):
     gradient: np.ndarray  # (L, N, P, 2) float32 gray levels/px of the reference
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def photometric_variance(gu, gv, du_dd, dv_dd, var_d, noise):
     """Twin of photometric.photometric_variance (Eq. 8)."""
     if noise.paper_variance:
@@ -46,7 +46,7 @@ def photometric_variance(gu, gv, du_dd, dv_dd, var_d, noise):
     return noise.var_intensity + noise.var_pixel * (gu * gu + gv * gv) + noise.shared * along * var_d
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def distortion_weight(area, c_h):
     """Twin of photometric.distortion_weight (Eq. 7)."""
     return exp(min(c_h * (area - 1.0) ** 2, 4.0))
