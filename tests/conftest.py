@@ -1,4 +1,4 @@
-"""Shared by the tests: where the real sequences are, and tiny recordings made on the spot."""
+"""Shared by the tests: where the real sequences are, and tiny recordings made on the spot, a rendered desk."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from rendered import Film, film
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -55,6 +56,12 @@ def write_recording(
     if calibration is not None:
         (folder / "calibration.txt").write_text(calibration + "\n")
     return folder
+
+
+@pytest.fixture(scope="session")
+def desk() -> Film:
+    """40 frames of a rendered desk with full sensor noise, rendered once for all tests."""
+    return film()
 
 
 @pytest.fixture

@@ -1,0 +1,45 @@
+"""A short rendered sequence for tests: a desk filmed by a hand-held camera, poses exactly known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from idrgbdo_torch.frame import RgbdFrame
+from idrgbdo_torch.se3 import inverse
+from idrgbdo_torch.synthetic import RenderedSequence, SynthConfig
+from idrgbdo_torch.trajectory import Trajectory
+
+SMALL = SynthConfig(kind="desk", frames=40, width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5)
+
+
+@dataclass(frozen=True)
+class Film:
+    """All frames of a rendered sequence in memory, and the truth."""
+
+    frames: tuple[RgbdFrame, ...]
+    groundtruth: Trajectory
+
+    def T(self, target: int, source: int) -> Tensor:
+        """(4, 4) float64 true T_target_source of two frames."""
+        poses = self.groundtruth.T_world_cam
+        return inverse(poses[target]) @ poses[source]
+
+
+def film(config: SynthConfig = SMALL) -> Film:
+    """Render it now."""
+    sequence = RenderedSequence(config)
+    return Film(tuple(sequence), sequence.groundtruth)
+
+
+def rotation_deg(T: Tensor) -> float:
+    """The angle of a motion in degrees."""
+    cosine = (T[:3, :3].diagonal().sum() - 1) / 2
+    return float(torch.rad2deg(torch.arccos(cosine.clamp(-1, 1))))
+
+
+def later(frame: RgbdFrame, seconds: float) -> RgbdFrame:
+    """The same images at another time."""
+    return replace(frame, timestamp=frame.timestamp + seconds)
