@@ -17,9 +17,12 @@ from .config import Config
 from .errors import IdRgbdoError
 from .evaluation import Evaluation
 from .evaluation import evaluate as evaluate_trajectory
+from .figures import Picture, draw_frames, draw_trajectory, save
 from .frame import BrokenFrame, RgbdFrame
-from .odometry import Odometry, Record, Run
+from .odometry import Odometry, Record, Run, Status
+from .report import Snapshot, run_page, watch
 from .runfolder import RunFolder, default_folder, is_refined, measurements
+from .se3 import inverse, transform
 from .terminal import Rows, evaluation_rows, progress_bar, run_rows, show_table, status_counter
 from .trajectory import Trajectory, read_tum
 
@@ -43,7 +46,7 @@ def run(command: RunCommand) -> int:
         every=options.every,
         max_frames=options.max_frames,
     )
-    return _track(sequence, sequence.name, command.settings, command.out)
+    return _track(sequence, sequence.name, command.settings, command.out, command.figures)
 
 
 def demo(command: DemoCommand) -> int:
@@ -80,24 +83,35 @@ def make_odometry(config: Config) -> Odometry:
     return IdRgbdo(config)
 
 
-def _track(sequence: datasets.RgbdSequence, title: str, config: Config, out: Path | None) -> int:
+def _track(sequence: datasets.RgbdSequence, title: str, config: Config, out: Path | None, figures: bool = False) -> int:
     """Track a sequence into a run folder, evaluate it where there is ground truth, and show the table."""
     for warning in sequence.warnings:
         print("warning:", warning, file=sys.stderr)
     method = make_odometry(config)
     folder = RunFolder(out or default_folder(title, datetime.now()), configfile.dump(config))
     count_statuses = status_counter()
+    records: list[Record] = []
+    pictures = folder.path / "figures"
     with folder, stop_at_interrupt() as stopped, progress_bar(title, len(sequence)) as advance:
 
         def on_record(record: Record) -> None:
             folder.append(record)
+            records.append(record)
             advance(count_statuses(record))
 
-        done = odometry.run(method, _until(stopped, sequence), on_record)
+        picks, snapshots = _spread_out(len(sequence)), list[Snapshot]()
+        frames = watch(_until(stopped, sequence), method, picks, snapshots)
+        done = odometry.run(method, draw_frames(frames, method, records, pictures) if figures else frames, on_record)
         evaluation, rows = _evaluated(done, method, sequence.groundtruth)
+        if figures and records:
+            save(pictures / "trajectory.png", _from_above(done, evaluation, sequence.groundtruth))
         summary = folder.finish(done, method, evaluation)
+    if done.records:
+        page = run_page(folder.path, title, sequence.groundtruth, snapshots)
+        (folder.path / "report.html").write_text(page, encoding="utf-8")
     looked_at = f"{title}, interrupted" if stopped else title
-    show_table(looked_at, [*run_rows(done, summary), *rows, ("results in", str(folder.path))])
+    results = [("results in", str(folder.path)), ("look at", str(folder.path / "report.html"))]
+    show_table(looked_at, [*run_rows(done, summary), *rows, *(results if done.records else results[:1])])
     return INTERRUPTED if stopped else 0
 
 
@@ -116,6 +130,21 @@ def _evaluated(done: Run, method: Odometry, groundtruth: Trajectory | None) -> t
         return evaluation, rows
     except IdRgbdoError as error:
         return None, [("not evaluated", str(error))]
+
+
+def _spread_out(frames: int, count: int = 6) -> set[int]:
+    """Numbers of frames for pictures, the first one left out, since nothing is tracked in it."""
+    return {round((frames - 1) * (k + 1) / (count + 1)) for k in range(count)} - {0}
+
+
+def _from_above(done: Run, evaluation: Evaluation | None, groundtruth: Trajectory | None) -> Picture:
+    """The causal poses, with the reference where it could be laid over them."""
+    reference = None
+    if evaluation is not None and groundtruth is not None:
+        reference = transform(inverse(evaluation.ate.T_reference_estimate), groundtruth.positions)
+    keyframes = [number for number, record in enumerate(done.records) if record.result.keyframe]
+    lost = [number for number, status in enumerate(done.statuses) if status is Status.LOST]
+    return draw_trajectory(done.trajectory().T_world_cam, keyframes, lost, reference)
 
 
 def _render(config: synthetic.SynthConfig, folder: Path) -> None:

@@ -42,6 +42,7 @@ def compare(command: CompareCommand) -> int:
     from .comparison import Source, parse_external
     from .comparison import compare as compare_methods
     from .comparison.table import to_csv, to_json, to_markdown
+    from .report import comparison_page
     from .terminal import show_table
 
     known = known_methods(command.add)
@@ -62,7 +63,13 @@ def compare(command: CompareCommand) -> int:
             overwrite=command.overwrite,
             on_progress=on_progress,
         )
-    for name, write in (("comparison.md", to_markdown), ("comparison.csv", to_csv), ("comparison.json", to_json)):
+    writers = (
+        ("comparison.md", to_markdown),
+        ("comparison.csv", to_csv),
+        ("comparison.json", to_json),
+        ("report.html", comparison_page),
+    )
+    for name, write in writers:
         (command.out / name).write_text(write(comparison), encoding="utf-8")
     _show(comparison)
     show_table("results", [("in", str(command.out))])
