@@ -121,6 +121,8 @@ def select(A, seen, where, radius, m, information, spread, c_z, distance):
     n = A.shape[0]
     free = seen.copy()
     chosen = np.empty(m, dtype=np.int64)
+    if n == 0:
+        return chosen[:0]
     count = 0
     L = information.copy()
     distance2 = distance * distance
