@@ -47,6 +47,7 @@ class RunCommand:
     input: Annotated[Input, arg(name="")] = field(default_factory=Input)
     config: Path | None = None  # TOML; its values are the defaults of the flags
     out: Path | None = None  # folder for the results; else runs/<sequence>/<time>
+    figures: bool = False  # also draw the chosen points on some frames, and the trajectory from above
 
 
 @dataclass(frozen=True)
