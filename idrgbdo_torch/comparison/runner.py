@@ -13,6 +13,7 @@ import torch
 from ..datasets import RgbdSequence
 from ..errors import IdRgbdoError
 from ..evaluation import ASSOCIATION_LIMIT_S, evaluate
+from ..frame import RgbdFrame
 from ..methods import Methods
 from ..trajectory import associate, read_tum, write_tum
 from .outcome import (
@@ -76,20 +77,21 @@ def compare(
     outside = [_external_outcome(each, by_name[_sequence_of(each, sources, names)], out) for each in externals]
     done = {} if overwrite else read_outcomes(out)
     machine = machine_name()
+    digests = [_frames_digest(sequence) for sequence in sequences]
     wanted: list[Outcome] = []
     jobs = [
-        (name, seed, source, sequence)
-        for source, sequence in zip(sources, sequences, strict=True)
+        (name, seed, source, sequence, digest)
+        for source, sequence, digest in zip(sources, sequences, digests, strict=True)
         for name, method in methods.items()
         for seed in range(seeds if method.random else 1)
     ]
-    for number, (name, seed, source, sequence) in enumerate(jobs, start=1):
+    for number, (name, seed, source, sequence, digest) in enumerate(jobs, start=1):
         method = methods[name]
         outcome = Outcome(
             name,
             sequence.name,
             seed,
-            configuration_digest(method, _frames_digest(sequence)),
+            configuration_digest(method, digest),
             versions_of(method.libraries),
             method.description,
             method.kind,
@@ -182,7 +184,12 @@ def _external_outcome(external: External, sequence: RgbdSequence, out: Path) -> 
 
 
 def _frames_digest(sequence: RgbdSequence) -> str:
-    """What tells the frames of a sequence from those of another: their times, the camera and the reference."""
-    reference = sequence.groundtruth
-    poses = "" if reference is None else hashlib.sha256(reference.T_world_cam.numpy().tobytes()).hexdigest()
-    return f"{sequence.timestamps} {sequence.camera} {poses}"
+    """What tells the frames of a sequence from those of another: times, camera, reference, and three of the images."""
+    digest = hashlib.sha256(f"{sequence.timestamps} {sequence.camera}".encode())
+    if sequence.groundtruth is not None:
+        digest.update(sequence.groundtruth.T_world_cam.numpy().tobytes())
+    for index in (0, len(sequence) // 2, len(sequence) - 1):
+        frame = sequence.read(index)
+        if isinstance(frame, RgbdFrame):
+            digest.update(frame.gray.numpy().tobytes() + frame.depth.numpy().tobytes())
+    return digest.hexdigest()
