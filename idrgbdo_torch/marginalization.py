@@ -20,14 +20,17 @@ def partition(H: Tensor, b: Tensor, marginal: Tensor) -> tuple[Tensor, Tensor, T
 
 
 def schur_information(H_aa: Tensor, H_ab: Tensor, H_bb: Tensor) -> Tensor:
-    """Eq. (22). H*_a = H_aa - H_ab H_bb^-1 H_ba, symmetrised, negative eigenvalues clipped to zero.
+    """Eq. (22). H*_a = H_aa - H_ab H_bb^-1 H_ba, symmetric, negative eigenvalues clipped to zero.
 
-    Computed on a diagonally scaled H_bb, because metres, radians and gray levels differ by many orders of magnitude.
+    Computed on matrices of unit diagonal, because metres, radians and gray levels differ by many orders of magnitude.
     """
     H_star = H_aa - H_ab @ scaled_solve(H_bb, H_ab.mT)
-    eigenvalues, vectors = torch.linalg.eigh(0.5 * (H_star + H_star.mT))
-    clipped: Tensor = (vectors * eigenvalues.clamp(min=0.0)) @ vectors.mT
-    return clipped
+    scale = to_unit_diagonal(H_star)
+    unit = scale[:, None] * H_star * scale
+    eigenvalues, vectors = torch.linalg.eigh(0.5 * (unit + unit.mT))
+    back = torch.where(scale > 0.0, 1.0 / scale, 0.0)
+    clipped: Tensor = back[:, None] * ((vectors * eigenvalues.clamp(min=0.0)) @ vectors.mT) * back
+    return 0.5 * (clipped + clipped.mT)
 
 
 def schur_gradient(b_a: Tensor, H_ab: Tensor, H_bb: Tensor, b_b: Tensor) -> Tensor:
@@ -37,11 +40,15 @@ def schur_gradient(b_a: Tensor, H_ab: Tensor, H_bb: Tensor, b_b: Tensor) -> Tens
 
 def scaled_solve(A: Tensor, B: Tensor) -> Tensor:
     """A^-1 B of a symmetric positive semi-definite A (n, n), by its pseudo-inverse after scaling to unit diagonal."""
-    scale = A.diagonal().clamp(min=1e-300).rsqrt()
-    scale = torch.where(A.diagonal() > 1e-12, scale, torch.zeros_like(scale))
+    scale = to_unit_diagonal(A)
     inverse = torch.linalg.pinv(scale[:, None] * A * scale, rtol=1e-12, hermitian=True)
     solution: Tensor = scale[:, None] * (inverse @ (scale[:, None] * B))
     return solution
+
+
+def to_unit_diagonal(A: Tensor) -> Tensor:
+    """The factors (n,) that scale rows and columns of A (n, n) to a diagonal of ones; 0 where nothing is known."""
+    return torch.where(A.diagonal() > 1e-12, A.diagonal(), torch.inf).rsqrt()
 
 
 @dataclass(frozen=True)
