@@ -127,7 +127,7 @@ def _show(comparison: Comparison) -> None:
         for row in table.rows:
             grid.add_row(*(escape(cell) for cell in row))
         console.print(grid)
-    console.print(LEGEND, provenance(comparison), sep="\n", markup=False)
+    console.print(LEGEND, provenance(comparison), sep="\n", markup=False, highlight=False)
 
 
 @contextmanager
