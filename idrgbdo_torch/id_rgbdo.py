@@ -14,6 +14,7 @@ from .candidates import make_keyframe
 from .config import Config
 from .frame import Frame, Keyframe, RgbdFrame, prepare
 from .kernels.lie import inverse
+from .kernels.model import Noise
 from .keyframe import freedom_entropies_bits, wants_keyframe
 from .mapping import Cloud, condense, keyframe_cloud, world_cloud
 from .odometry import Status, TrackResult
@@ -27,8 +28,10 @@ from .tracking import (
     predict,
     recover,
     track_frame,
+    turn_rate,
     unsure,
     verify,
+    with_blur,
 )
 from .trajectory import Trajectory
 from .window import Window
@@ -60,6 +63,8 @@ class IdRgbdo:
         self.T_kf_world = self.T_cam_world
         self.T_previous = self.T_cam_world  # of the frame before the last, for the constant velocity
         self.dt_previous = 0.0  # s, between those two; 0 where there is no velocity
+        self.turn = np.zeros(3)  # rad/s, of the last frame
+        self.keyframe_turn = np.zeros(3)  # and of the keyframe
         self.affine = np.zeros(2)
         self.index = np.zeros(0, dtype=np.int64)  # the keyframe's points, where they are chosen only once
         self.entropies: list[Tensor] = []  # per degree of freedom, of the frames tracked since the keyframe
@@ -83,9 +88,11 @@ class IdRgbdo:
         ratio = min(dt / self.dt_previous, 3.0) if self.dt_previous > 0.0 else 0.0
         guess = predict(self.T_cam_world, self.T_previous, ratio) @ inverse(self.T_kf_world)
         prior = motion_information(self.config, dt)
-        index = self._choose(self.keyframe, guess, prior)
+        self.turn = turn_rate(guess, self.T_cam_world @ inverse(self.T_kf_world), dt)
+        noise = with_blur(self.noise, self.config.noise, frame.camera.fx, self.turn, self.keyframe_turn)
+        index = self._choose(self.keyframe, guess, prior, noise)
         tracked = track_frame(
-            frame, self.keyframe, guess, self.affine, index, self.keyframe.coarse, prior, self.noise,
+            frame, self.keyframe, guess, self.affine, index, self.keyframe.coarse, prior, noise,
             self.config.tracking.levels,
         )  # fmt: skip
         verdict = verify(frame, self.keyframe, tracked, self.noise)
@@ -107,12 +114,12 @@ class IdRgbdo:
             result = replace(result, keyframe=True, T_world_cam=torch.from_numpy(inverse(self.T_cam_world)))
         return result
 
-    def _choose(self, keyframe: Keyframe, T_frame_kf: Array, prior: Array) -> Index:
+    def _choose(self, keyframe: Keyframe, T_frame_kf: Array, prior: Array, noise: Noise) -> Index:
         """The points to track: anew for every frame, or the keyframe's own."""
         if not self.config.selection.per_frame:
             return self.index
         selection = self.config.selection
-        return select_points(keyframe, T_frame_kf, selection.points, prior, selection, self.noise, self.rng)
+        return select_points(keyframe, T_frame_kf, selection.points, prior, selection, noise, self.rng)
 
     def _move(self, T_cam_world: Array, dt: float) -> None:
         self.T_previous, self.T_cam_world, self.dt_previous = self.T_cam_world, T_cam_world, dt
@@ -134,7 +141,7 @@ class IdRgbdo:
             index = select_points(keyframe, np.eye(4), m, prior, selection, self.noise, self.rng)
             keyframe = self._refine(keyframe, index)
         self.clouds = condense(self.clouds, self.keyframe_poses, self.in_window)
-        self.keyframe, self.T_kf_world = keyframe, self.T_cam_world
+        self.keyframe, self.T_kf_world, self.keyframe_turn = keyframe, self.T_cam_world, self.turn
         self.affine = np.zeros(2)
         self.entropies = []
         return True

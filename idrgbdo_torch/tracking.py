@@ -59,6 +59,21 @@ def kernel_noise(config: NoiseConfig) -> Noise:
     )
 
 
+def with_blur(noise: Noise, config: NoiseConfig, focal: float, turn: Array, turn_kf: Array) -> Noise:
+    """The noise of a frame that turns (3,) rad/s against a keyframe that turned otherwise.
+
+    Both images are smeared along their own motion; an edge smeared differently seems to lie elsewhere.
+    """
+    speed = focal * float(np.linalg.norm(turn - turn_kf)) / RATE  # px a frame
+    return noise._replace(var_pixel=noise.var_pixel + noise.shared * (config.blur * speed) ** 2)
+
+
+def turn_rate(T_new: Array, T_old: Array, dt: float) -> Array:
+    """Angular velocity (3,) rad/s between two cam_world poses dt seconds apart."""
+    turn: Array = log_se3(T_new @ inverse(T_old))[3:] / dt
+    return turn
+
+
 @dataclass(frozen=True)
 class Tracked:
     """One alignment to a keyframe."""
@@ -122,7 +137,7 @@ class Verdict:
 
 WEAK_BELOW = 0.61  # share of agreeing points under which a pose is doubtful
 LOST_BELOW = 0.54  # and under which it is not used
-UNSURE_BITS = -7.45  # entropy of the least certain degree of freedom, about 1.4 mm or 1.4 mrad given the others
+UNSURE_BITS = -7.0  # entropy of the least certain degree of freedom, about 2 mm or 2 mrad given the others
 FREEDOMS = ("x", "y", "z", "rotation about x", "rotation about y", "rotation about z")
 
 

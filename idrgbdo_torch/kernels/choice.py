@@ -12,6 +12,9 @@ from .model import PATTERN_U, distortion_weight, photometric_variance
 from .sampling import sample, sample_inverse_depth
 
 
+GRADIENT_NOISE = 0.25  # squared gradient of pure noise over var_intensity, the sensor's share of which is a quarter
+
+
 @njit(cache=True, nogil=True)
 def whitened_rows(cam, width, height, margin, points, index, T, noise):
     """Rows A (M, 3, 6) whose A^T A is a point's information at pose T, and who is seen: the margin inside the image.
@@ -62,6 +65,8 @@ def whitened_rows(cam, width, height, margin, points, index, T, noise):
             gu = np.float64(points.gradient[0, p, k, 0])
             gv = np.float64(points.gradient[0, p, k, 1])
             w = 1.0 / (h * photometric_variance(gu, gv, du_dd, dv_dd, var_d, noise))
+            # noise alone looks like a gradient too: on a bare wall it must not pass for information
+            w *= max(0.0, 1.0 - GRADIENT_NOISE * noise.var_intensity / (gu * gu + gv * gv + 1e-9))
             G00 += w * gu * gu
             G01 += w * gu * gv
             G11 += w * gv * gv
