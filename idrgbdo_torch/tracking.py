@@ -22,6 +22,7 @@ AFFINE_PRIOR = np.diag([1.0 / 0.1**2, 1.0 / 10.0**2])  # of gain and gray levels
 RATE = 30.0  # Hz, at which the motion prior is given
 VERIFIED_LEVEL = 1
 VERIFIED_GRAY = 12.0  # gray levels, largest residual of a point that agrees
+GAIN_LIMIT = 1.0  # of the logarithm: with no contrast left, a black or a white image would explain everything
 
 
 def motion_prior_terms(xi_frame: Tensor, xi_predicted: Tensor, information: Tensor) -> tuple[Tensor, Tensor]:
@@ -159,8 +160,10 @@ def verify(frame: Frame, keyframe: Keyframe, tracked: Tracked, noise: Noise) -> 
     )  # fmt: skip
     if not (np.isfinite(tracked.T_frame_kf).all() and tracked.points >= 6):
         return Verdict(0.0, 0.0, 0.0)
-    few = with_depth < 12  # a frame without depth is judged by its brightness alone
-    return Verdict(seen / max(len(coarse), 1), bright / max(seen, 1), 1.0 if few else near / with_depth)
+    if abs(tracked.affine[0]) > GAIN_LIMIT:
+        bright = 0
+    few = 0 < with_depth < 12  # a frame with little depth is judged by its brightness alone, one with none is broken
+    return Verdict(seen / max(len(coarse), 1), bright / max(seen, 1), 1.0 if few else near / max(with_depth, 1))
 
 
 def recover(
