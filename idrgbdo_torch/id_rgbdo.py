@@ -21,6 +21,7 @@ from .odometry import Status, TrackResult
 from .selection import point_bits, select_points
 from .tracking import (
     LOST_BELOW,
+    RATE,
     WEAK_BELOW,
     Tracked,
     kernel_noise,
@@ -63,6 +64,7 @@ class IdRgbdo:
         self.T_kf_world = self.T_cam_world
         self.T_previous = self.T_cam_world  # of the frame before the last, for the constant velocity
         self.dt_previous = 0.0  # s, between those two; 0 where there is no velocity
+        self.pose_time = 0.0  # s, of the last pose that was measured: lost frames since then do not count
         self.turn = np.zeros(3)  # rad/s, of the last frame
         self.keyframe_turn = np.zeros(3)  # and of the keyframe
         self.affine = np.zeros(2)
@@ -84,7 +86,8 @@ class IdRgbdo:
         frame = prepare(rgbd)
         if self.keyframe is None or self.lost_in_a_row >= PATIENCE:
             return self._start_segment(frame)
-        dt = max(frame.timestamp - self.times[-1], 1e-3)
+        dt = frame.timestamp - self.pose_time
+        dt = dt if dt > 0.0 else 1.0 / RATE  # out of order, the time says nothing
         ratio = min(dt / self.dt_previous, 3.0) if self.dt_previous > 0.0 else 0.0
         guess = predict(self.T_cam_world, self.T_previous, ratio) @ inverse(self.T_kf_world)
         prior = motion_information(self.config, dt)
@@ -172,6 +175,7 @@ class IdRgbdo:
             return self._lost(frame, "too few points with depth and texture to start from")
         self.segment += 0 if first else 1
         self.lost_in_a_row = 0
+        self.pose_time = frame.timestamp
         reason = "" if first else "a new segment starts here, at the last known pose"
         return replace(self._result(frame, None, Status.OK if first else Status.LOST, reason), keyframe=True)
 
@@ -189,6 +193,8 @@ class IdRgbdo:
         self.times.append(frame.timestamp)
         self.references.append(len(self.keyframe_poses) - 1)
         self.T_cam_kf.append(T_cam_kf)
+        if tracked is not None:
+            self.pose_time = frame.timestamp
         self.last = (self.keyframe, tracked) if tracked and self.keyframe else None
         return TrackResult(
             T_world_cam=torch.from_numpy(T_world_cam),
