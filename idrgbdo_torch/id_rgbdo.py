@@ -216,7 +216,8 @@ class IdRgbdo:
             inverse(T @ (self.keyframe_poses[r] if r >= 0 else start))
             for T, r in zip(self.T_cam_kf, self.references, strict=True)
         ]
-        return Trajectory(torch.tensor(self.times, dtype=torch.float64), torch.from_numpy(np.array(poses)))
+        stacked = np.array(poses).reshape(-1, 4, 4)
+        return Trajectory(torch.tensor(self.times, dtype=torch.float64), torch.from_numpy(stacked))
 
     def map_points(self) -> tuple[Tensor, Tensor]:
         """(N, 3) float32 candidate points of all keyframes in the world, m, and their (N, 3) uint8 RGB colours."""
