@@ -109,20 +109,21 @@ def draw_trajectory(
     low, high = drawn.min(axis=0), drawn.max(axis=0)
     side = max(float((high - low).max()), 1e-3) * 1.15
     px_per_m = size / side
+    top = 2 * CAPTION
     height = round(min(max(1.3 * px_per_m * (high - low)[1], 0.5 * size), size))
     corner = 0.5 * (low + high) + 0.5 * np.array([-size, height]) / px_per_m  # top left
 
     def place(points: NDArray[Any]) -> NDArray[np.float64]:
-        pixels: NDArray[np.float64] = (points - corner) * np.array([px_per_m, -px_per_m]) + np.array([0.0, CAPTION])
+        pixels: NDArray[np.float64] = (points - corner) * np.array([px_per_m, -px_per_m]) + np.array([0.0, top])
         return pixels
 
-    picture = _blank(height + CAPTION, size)
+    picture = _blank(height + top, size)
     step = _round_step(side / 5)
     for line in range(-1, 8):
         tick = (np.floor(corner / step) + np.array([line, -line])) * step
         u, v = place(tick).round().astype(int)
-        cv2.line(picture, (int(u), CAPTION), (int(u), height + CAPTION), PALE, 1)
-        cv2.line(picture, (0, max(int(v), CAPTION)), (size, max(int(v), CAPTION)), PALE, 1)
+        cv2.line(picture, (int(u), top), (int(u), height + top), PALE, 1)
+        cv2.line(picture, (0, max(int(v), top)), (size, max(int(v), top)), PALE, 1)
     _polyline(picture, place(gray), GRAY, 6)
     _polyline(picture, place(path), BLUE, 2)
     for number in keyframes:
@@ -136,13 +137,13 @@ def draw_trajectory(
     legend += [(f"{len(keyframes)} keyframes", BLUE, 0)] if keyframes else []
     legend += [("reference", GRAY, 6)] if reference is not None else []
     legend += [(f"{len(lost)} lost", RED, 0)] if lost else []
-    for row, (name, color, width) in enumerate(legend):
-        v = CAPTION + 20 + 20 * row
+    for column, (name, color, width) in enumerate(legend):
+        u, v = 10 + size * column // 4, CAPTION + 14
         if width:
-            cv2.line(picture, (10, v - 4), (30, v - 4), color, width, cv2.LINE_AA)
+            cv2.line(picture, (u, v - 4), (u + 20, v - 4), color, width, cv2.LINE_AA)
         else:
-            _disc(picture, (20, v - 4), 3.2, color)
-        _write(picture, name, (38, v))
+            _disc(picture, (u + 14, v - 4), 3.2, color)
+        _write(picture, name, (u + 28, v))
     return picture
 
 

@@ -91,7 +91,7 @@ def test_the_path_is_drawn_to_scale_with_lost_frames_in_red() -> None:
     poses = torch.eye(4, dtype=torch.float64).repeat(11, 1, 1)
     poses[:, 0, 3] = torch.linspace(0, 1, 11)  # 1 m to the right
     picture = draw_trajectory(poses, keyframes=[0, 5], size=460)
-    rows, columns = np.nonzero((picture[CAPTION + 90 :] == BLUE).all(axis=-1))  # below the legend
+    rows, columns = np.nonzero((picture[2 * CAPTION :] == BLUE).all(axis=-1))  # below the legend
     assert columns.max() - columns.min() == pytest.approx(460 / 1.15, abs=9)  # the ring hides the first bit
     assert rows.max() - rows.min() < 12
     assert count(picture, RED) == 0
