@@ -11,7 +11,6 @@ from .linear import inverse_spd
 from .model import PATTERN_U, distortion_weight, photometric_variance
 from .sampling import sample, sample_inverse_depth
 
-
 GRADIENT_NOISE = 0.25  # squared gradient of pure noise over var_intensity, the sensor's share of which is a quarter
 
 
