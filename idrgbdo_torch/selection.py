@@ -23,6 +23,8 @@ from .kernels.model import Noise
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+ROUNDING = 1e-6  # px; candidates are whole pixels and may lie on the margin, where rounding must not decide
+
 
 def determinant_gain(rows: Tensor, information: Tensor) -> Tensor:
     """Eq. (17). Delta_p |Lambda| = |Lambda| (|I + A_p Lambda^-1 A_p^T| - 1) (...), rows A (..., R, D), Lambda (D, D).
@@ -106,11 +108,12 @@ def select_points(
     camera = keyframe.frame.camera
     everyone = np.arange(len(keyframe.points.uv))
     A, seen, where = choice.whitened_rows(
-        keyframe.frame.intrinsics[0], camera.width, camera.height, config.margin, keyframe.points, everyone, T_frame_kf,
-        noise,
+        keyframe.frame.intrinsics[0], camera.width, camera.height, config.margin - ROUNDING, keyframe.points, everyone,
+        T_frame_kf, noise,
     )  # fmt: skip
     if config.mode == "rand":
-        return np.sort(rng.permutation(np.flatnonzero(seen))[:m])
+        key = rng.random(len(everyone)) + ~seen  # one point more or less in view changes no other's luck
+        return np.sort(np.argsort(key)[: min(m, int(seen.sum()))])
     if config.mode == "grid":
         return strongest_of_cells(where, seen, keyframe, m)
     if config.objective == "paper":
