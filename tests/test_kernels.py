@@ -1,51 +1,35 @@
-"""Every fused kernel against its torch definition: poses, linear algebra, sampling, normal equations, the choice."""
+"""Every fused kernel against its torch definition: poses, linear algebra, sampling, normal equations."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import pytest
 import torch
-from plane_world import AFFINE, CAMERA, SLANTED, T_TARGET_HOST, XI, render
+from plane_scene import KERNEL_PATTERN, P, Scene, close, intrinsics, plane_scene
+from plane_world import AFFINE, CAMERA, T_TARGET_HOST, XI
 from torch import Tensor
 
 from idrgbdo_torch import se3
 from idrgbdo_torch.config import NoiseConfig
-from idrgbdo_torch.image import pyramid, sample_surface, sample_with_gradient
+from idrgbdo_torch.image import sample_surface, sample_with_gradient
 from idrgbdo_torch.kernels import alignment, choice, lie, linear, linearisation, model, sampling
-from idrgbdo_torch.kernels.model import PATTERN_U, PATTERN_V, Noise, Points
+from idrgbdo_torch.kernels.model import Noise
 from idrgbdo_torch.photometric import (
     PATTERN,
     Photometric,
     Warp,
     depth_residual,
     distortion_weight,
-    gradient_information,
     linearize,
     photometric_variance,
-    point_information,
     projective_distortion,
     residual_variance,
     warp,
 )
-from idrgbdo_torch.selection import select_informative
 from idrgbdo_torch.solver import huber_weight, normal_equations, robust_cost
 from idrgbdo_torch.tracking import kernel_noise
-
-KERNEL_PATTERN = torch.from_numpy(np.stack([PATTERN_U, PATTERN_V], axis=1))  # (8, 2) px, the kernels' own order
-P = len(KERNEL_PATTERN)
-LEVELS = 3
-SIGMA_D = 0.004  # 1/m
-EYE = torch.eye(4, dtype=torch.float64)
-
-
-def close(actual: Any, expected: Any, relative: float = 1e-10) -> None:
-    """Equal to `relative` of the largest expected value."""
-    expected = torch.as_tensor(expected)
-    size = float(expected.abs().max()) or 1.0
-    torch.testing.assert_close(torch.as_tensor(actual), expected, rtol=0, atol=relative * size)
 
 
 @pytest.mark.parametrize("size", [1e-12, 1e-6, 3e-5, 1e-3, 0.4, 0.5, 2.0])
@@ -74,6 +58,7 @@ def test_solving_symmetric_systems() -> None:
         J = rng.standard_normal((3 * n, n)) * 10.0 ** rng.uniform(-3, 3, n)
         A, b = J.T @ J, rng.standard_normal(n)
         ok, x = linear.solve_spd(A, b)
+        close(linear.inverse_spd(A) @ A, np.eye(n), 1e-9)
         expected = torch.linalg.solve(torch.from_numpy(A), torch.from_numpy(b))
         assert ok
         torch.testing.assert_close(torch.from_numpy(x), expected, rtol=1e-9, atol=0)
@@ -83,6 +68,7 @@ def test_solving_symmetric_systems() -> None:
 def test_a_system_that_cannot_be_solved_is_a_value(entry: float) -> None:
     A = np.diag([1.0, entry, 2.0])
     assert not linear.solve_spd(A, np.ones(3))[0]
+    assert not linear.inverse_spd(A).any()
     assert not linear.solve_spd(np.eye(3), np.array([1.0, np.nan, 0.0]))[0]
 
 
@@ -135,50 +121,9 @@ def test_variances(mode: Literal["first_order", "paper"]) -> None:
         assert model.distortion_weight(area, noise.c_h) == pytest.approx(float(h), rel=1e-14)
 
 
-@dataclass(frozen=True)
-class Scene:
-    """A plane seen twice, with points everywhere: in view and out of it, on good and on wrong depth."""
-
-    images: tuple[np.ndarray, ...]  # of the target, float32
-    depth: np.ndarray  # of the target, float32 m
-    points: Points
-
-    def tensor(self, name: str, index: np.ndarray) -> Tensor:
-        return torch.from_numpy(getattr(self.points, name)[index])
-
-
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    rng = np.random.default_rng(5)
-    fuzz = [torch.from_numpy(6 * rng.standard_normal((CAMERA.height, CAMERA.width))) for _ in range(2)]
-    host, target = ((gray + noise).float() for (gray, _), noise in zip(both(), fuzz, strict=True))
-    d_host, d_target = (d for _, d in both())
-    depth = (1 / d_target).float()
-    depth[torch.from_numpy(rng.uniform(size=depth.shape) < 0.01)] = 0.0
-    depth[60:100, 200:260] *= 1.5  # another surface
-    n = 200
-    uv = torch.from_numpy(rng.uniform([4, 4], [CAMERA.width - 5, CAMERA.height - 5], (n, 2)))
-    d = sample_surface(d_host, uv)[0] * torch.from_numpy(1 + 0.02 * rng.standard_normal(n))
-    patches, gradients = [], []
-    for level, image in enumerate(pyramid(host, LEVELS)):
-        at = ((uv + 0.5) * 0.5**level - 0.5)[:, None] + KERNEL_PATTERN
-        value, g, _ = sample_with_gradient(image, at)
-        patches.append(value.float())
-        gradients.append(g.float())
-    variance = SIGMA_D**2 * torch.from_numpy(rng.uniform(0.3, 2.0, n))
-    points = Points(
-        uv.numpy(), d.numpy(), variance.numpy(), torch.stack(patches).numpy(), torch.stack(gradients).numpy()
-    )
-    return Scene(tuple(image.numpy() for image in pyramid(target, LEVELS)), depth.numpy(), points)
-
-
-def both() -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
-    return render(EYE, SLANTED), render(T_TARGET_HOST, SLANTED)
-
-
-def intrinsics(level: int) -> np.ndarray:
-    c = CAMERA.at_level(level)
-    return np.array([c.fx, c.fy, c.cx, c.cy])
+    return plane_scene()
 
 
 def moved_gradient(g_host: Tensor, d: Tensor, warped: Warp, T: Tensor, level: int) -> Tensor:
@@ -276,109 +221,6 @@ def test_one_pixel_patches(scene: Scene) -> None:
         results.append((H, b, energy))
     assert np.array_equal(results[0][0], results[1][0]) and np.array_equal(results[0][1], results[1][1])
     assert results[0][2] == results[1][2] > 0
-
-
-def test_whitened_rows_carry_the_point_s_information(scene: Scene) -> None:
-    noise = kernel_noise(NoiseConfig(sigma_intensity=4.0, sigma_pixel=0.3))
-    index = np.arange(200)
-    A, seen, where = choice.whitened_rows(
-        intrinsics(0), CAMERA.width, CAMERA.height, 20.0, scene.points, index, T_TARGET_HOST.numpy(), noise
-    )
-    uv, d, var_d = (scene.tensor(name, index) for name in ("uv", "inv_depth", "var_inv_depth"))
-    warped = warp(CAMERA, uv, d, T_TARGET_HOST)
-    u, v = warped.centre.unbind(-1)
-    inside = (u >= 20) & (u <= CAMERA.width - 21) & (v >= 20) & (v <= CAMERA.height - 21)
-    assert seen.tolist() == inside.tolist() and 50 < seen.sum() < 200
-    close(where[seen], warped.centre[inside])
-    g = torch.from_numpy(scene.points.gradient[0]).double()
-    h, _ = distortion_weight(projective_distortion(d, warped.P, T_TARGET_HOST), noise.c_h)
-    phi = photometric_variance(g, warped.duv_dd, var_d.sqrt(), shared=P, sigma_intensity=4.0, sigma_pixel=0.3)
-    G = gradient_information(g, 1 / residual_variance(h, phi))
-    expected = point_information(G, warped.duv_dxi)
-    z = warped.P[:, 2]
-    row = warped.dP_dxi[:, 2] / z[:, None] ** 2 / (noise.var_depth + var_d / (z * d) ** 4).sqrt()[:, None]
-    expected = expected + row[..., None] * row[:, None]
-    torch.testing.assert_close(
-        torch.from_numpy(A[seen]).mT @ torch.from_numpy(A[seen]), expected[inside], rtol=1e-9, atol=1e-6
-    )
-    assert (A[~seen] == 0).all()
-    blind = choice.whitened_rows(
-        intrinsics(0), CAMERA.width, CAMERA.height, 20.0, scene.points, index, T_TARGET_HOST.numpy(),
-        noise._replace(use_depth=False),
-    )  # fmt: skip
-    assert (blind[0][:, 2] == 0).all() and (A[seen, 2, 2] > 0).all()
-
-
-@pytest.mark.parametrize("distance", [0.0, 25.0])
-@pytest.mark.parametrize("seed", range(6))
-def test_the_lazy_choice_is_algorithm_1(seed: int, distance: float) -> None:
-    rng = np.random.default_rng(seed)
-    n = 400
-    A = rng.standard_normal((n, 3, 6)) * [1, 1, 1, 3, 3, 3] * rng.uniform(0.1, 2.0, (n, 1, 1))
-    where, radius = rng.uniform(0, [320, 240], (n, 2)), rng.uniform(0, 1, n)
-    seen = rng.uniform(size=n) < 0.8
-    information = np.diag(rng.uniform(0.1, 1, 6))
-    visible = np.flatnonzero(seen)
-    for m in (1, 4, 6, 24, 60):
-        mine = choice.select(A, seen, where, radius, m, information, 0.5, 25.0, distance)
-        expected = select_informative(
-            torch.from_numpy(A[visible]), torch.from_numpy(radius[visible]), m, torch.from_numpy(information),
-            spread=0.5, c_z=25.0, where=torch.from_numpy(where[visible]), distance=distance,
-        )  # fmt: skip
-        assert mine.tolist() == visible[expected.numpy()].tolist()
-        assert len(mine) == m
-        gaps = np.linalg.norm(where[mine, None] - where[mine], axis=-1) + 1e9 * np.eye(m)
-        assert gaps.min() >= distance
-
-
-def test_a_freedom_that_no_point_sees_does_not_stop_the_choice() -> None:
-    rng = np.random.default_rng(0)
-    A = rng.standard_normal((50, 3, 6))
-    A[:, :, 1] = 0.0
-    where, radius, information = rng.uniform(0, 300, (50, 2)), rng.uniform(0, 1, 50), 1e-3 * np.eye(6)
-    mine = choice.select(A, np.ones(50, dtype=np.bool_), where, radius, 12, information, 0.5, 25.0, 0.0)
-    expected = select_informative(
-        torch.from_numpy(A), torch.from_numpy(radius), 12, torch.from_numpy(information), spread=0.5, c_z=25.0
-    )
-    assert mine.tolist() == expected.tolist()
-
-
-def test_running_out_of_points_ends_the_choice() -> None:
-    A = np.random.default_rng(0).standard_normal((9, 3, 6))
-    where = np.zeros((9, 2))
-    where[:, 0] = [0, 1, 2, 3, 100, 101, 102, 200, 300]
-    chosen = choice.select(A, np.ones(9, dtype=np.bool_), where, np.zeros(9), 24, np.eye(6), 0.5, 25.0, 6.0)
-    assert sorted(where[chosen, 0] // 100) == [0, 1, 2, 3]
-
-
-def test_verify_counts_what_agrees(scene: Scene) -> None:
-    """Exact points all agree; an offset spoils brightness, a wrong depth spoils depth, out of view does not count."""
-    noise = kernel_noise(NoiseConfig())
-    (_, d_host), _ = both()
-    uv = torch.from_numpy(scene.points.uv)
-    d = sample_surface(d_host, uv)[0]
-    target = render(T_TARGET_HOST, SLANTED)
-    image, depth = target[0].float().numpy(), (1 / target[1]).float().numpy()
-    warped = warp(CAMERA, uv, d, T_TARGET_HOST)
-    value, _, valid = sample_with_gradient(torch.from_numpy(image), warped.centre)
-    patch = ((value - AFFINE[1]) / AFFINE[0].exp())[:, None].float().numpy()
-    points = scene.points._replace(inv_depth=d.numpy())
-
-    def counts(points: Points, affine: Tensor) -> tuple[int, int, int, int]:
-        return choice.verify(
-            image, depth, intrinsics(0), 0, points, patch, np.arange(200), T_TARGET_HOST.numpy(), affine.numpy(),
-            noise, 12.0,
-        )  # fmt: skip
-
-    seen, bright, with_depth, near = counts(points, AFFINE)
-    assert seen == int(valid.sum()) < 200 and bright == seen
-    assert with_depth == int(sample_surface(target[1], warped.centre, 0.1)[2][valid].sum()) and near == with_depth
-    assert counts(points, AFFINE + torch.tensor([0.0, 13.0]))[1] == 0
-    assert counts(points, AFFINE + torch.tensor([0.0, 11.0]))[1] == seen
-    wrong = d.numpy().copy()
-    wrong[::2] *= 1.15
-    _, _, with_depth, near = counts(points._replace(inv_depth=wrong), AFFINE)
-    assert 0.35 * with_depth < near < 0.65 * with_depth
 
 
 def test_brightness_information_is_the_schur_complement() -> None:
