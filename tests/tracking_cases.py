@@ -1,0 +1,61 @@
+"""A keyframe and a later frame of the rendered desk, and how tracking gets from one to the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from rendered import Film, rotation_deg
+from torch import Tensor
+
+from idrgbdo_torch import se3
+from idrgbdo_torch.candidates import make_keyframe
+from idrgbdo_torch.config import Config
+from idrgbdo_torch.frame import Frame, Keyframe, prepare
+from idrgbdo_torch.selection import select_points
+from idrgbdo_torch.tracking import Tracked, kernel_noise, motion_information, track_frame
+
+CONFIG = Config()
+NOISE = kernel_noise(CONFIG.noise)
+PRIOR = motion_information(CONFIG, 0.1)
+EYE = np.eye(4)
+NO_CHANGE = np.zeros(2)  # of brightness
+
+
+@dataclass(frozen=True)
+class Case:
+    """A keyframe, a later frame, and how one moves to the other."""
+
+    keyframe: Keyframe
+    frame: Frame
+    T: Tensor  # (4, 4) true T_frame_kf
+
+    def choose(self, m: int) -> np.ndarray:
+        return select_points(self.keyframe, EYE, m, PRIOR, CONFIG.selection, NOISE, np.random.default_rng(0))
+
+    def track(self, m: int = 24, guess: np.ndarray = EYE, prior: np.ndarray = PRIOR, frame: Frame | None = None,
+              affine: np.ndarray = NO_CHANGE) -> Tracked:  # fmt: skip
+        keyframe = self.keyframe
+        return track_frame(
+            frame or self.frame, keyframe, guess, affine, self.choose(m), keyframe.coarse, prior, NOISE,
+            CONFIG.tracking.levels,
+        )  # fmt: skip
+
+    def error(self, tracked: Tracked) -> tuple[float, float]:
+        """Translation in m and rotation in degrees between the estimate and the truth."""
+        E = se3.inverse(self.T) @ torch.from_numpy(tracked.T_frame_kf)
+        return float(E[:3, 3].norm()), rotation_deg(E)
+
+    def twist(self, tracked: Tracked) -> Tensor:
+        """(6,) left increment from the estimate to the truth."""
+        return se3.log(self.T @ se3.inverse(torch.from_numpy(tracked.T_frame_kf)))
+
+
+def make_cases(desk: Film) -> list[Case]:
+    """Steps of 3 frames: 3 to 6 cm and 1 to 3 degrees."""
+    out = []
+    for k in (0, 5, 10, 20, 30):
+        keyframe = make_keyframe(prepare(desk.frames[k]), CONFIG, np.random.default_rng(0))
+        out.append(Case(keyframe, prepare(desk.frames[k + 3]), desk.T(k + 3, k)))
+    return out
