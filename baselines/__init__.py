@@ -29,7 +29,9 @@ def _settings(family: str, options: tuple[Any, ...]) -> str:
 
 def _library(family: str, description: str, option: str, library: str) -> Method:
     """A method of a library with its makers' defaults."""
-    return Method(description, partial(_make, family, (option,)), libraries=(library,))
+    return Method(
+        description, partial(_make, family, (option,)), settings=partial(_settings, "checked", ()), libraries=(library,)
+    )
 
 
 def _family(family: str, description: str, *libraries: str) -> Method:

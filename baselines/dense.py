@@ -21,6 +21,7 @@ from idrgbdo_torch.image import gradient, pyramid
 from idrgbdo_torch.se3 import exp, inverse, log
 from idrgbdo_torch.solver import solve
 
+from . import checked
 from .keyframes import Fit, Keyframe, KeyframeOdometry, KeyframeRule
 
 
@@ -115,7 +116,7 @@ def make() -> KeyframeOdometry[dict[int, Level]]:
 
 def settings() -> str:
     """All settings as TOML."""
-    return dump(DenseConfig()) + dump(RULE)
+    return dump(DenseConfig()) + dump(RULE) + checked.settings()
 
 
 def _level(camera: Pinhole, gray: Tensor, inverse_depth: Tensor, jump: float) -> Level:

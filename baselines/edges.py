@@ -21,6 +21,7 @@ from idrgbdo_torch.image import pyramid, sample_bilinear
 from idrgbdo_torch.se3 import exp, inverse, transform
 from idrgbdo_torch.solver import MAD_TO_SIGMA, normal_equations, solve
 
+from . import checked
 from .geometry import student_weight, surface_inverse_depth, twist_jacobian
 from .keyframes import Fit, Keyframe, KeyframeOdometry, KeyframeRule
 
@@ -129,7 +130,7 @@ def make() -> KeyframeOdometry[dict[int, Edges]]:
 
 def settings() -> str:
     """All settings as TOML."""
-    return dump(EdgeConfig()) + dump(RULE)
+    return dump(EdgeConfig()) + dump(RULE) + checked.settings()
 
 
 def _detect(gray: Tensor, config: EdgeConfig) -> tuple[Tensor, Tensor, Tensor]:

@@ -22,6 +22,7 @@ from idrgbdo_torch.frame import RgbdFrame
 from idrgbdo_torch.se3 import exp, inverse, transform
 from idrgbdo_torch.solver import normal_equations, solve
 
+from . import checked
 from .geometry import student_weight, surface_inverse_depth, twist_jacobian
 from .keyframes import Fit, Keyframe, KeyframeOdometry, KeyframeRule
 
@@ -177,4 +178,4 @@ def make() -> KeyframeOdometry[Features]:
 
 def settings() -> str:
     """All settings as TOML."""
-    return dump(FeatureConfig()) + dump(RULE)
+    return dump(FeatureConfig()) + dump(RULE) + checked.settings()
