@@ -101,6 +101,8 @@ def test_a_plane_needs_no_hole_and_no_jump_near_by() -> None:
     assert not at(10, 10) and not at(12, 8) and at(9, 10) and at(12, 7)
     assert not at(15, 4) and at(14, 4)
     assert not at(2, 8) and not at(10, 18)
+    depth[5, 3] = 1 / (0.5 + 0.035)  # one reading off by more than noise or a slope could
+    assert not at(5, 6) and not at(6, 5) and at(7, 6)
 
 
 def test_one_candidate_a_cell_the_strongest_of_its_best_tier(frame: Frame) -> None:

@@ -126,6 +126,23 @@ def test_the_trajectory_has_every_frame_and_knows_better(plain: tuple[IdRgbdo, R
     )
 
 
+def test_the_velocity_survives_the_refinement_of_the_pose(desk: Film) -> None:
+    """The window moves the newest pose; the motion since the frame before stays the measured one."""
+    odometry = IdRgbdo()
+    keyframes = 0
+    for frame in desk.frames[:25]:
+        T_before_world, T_kf_world = (torch.from_numpy(T.copy()) for T in (odometry.T_cam_world, odometry.T_kf_world))
+        result = odometry.track(frame)
+        if result.keyframe and result.T_ref_cam is not None:
+            keyframes += 1
+            measured = se3.inverse(result.T_ref_cam) @ T_kf_world @ se3.inverse(T_before_world)
+            motion = torch.from_numpy(odometry.T_cam_world) @ se3.inverse(torch.from_numpy(odometry.T_previous))
+            torch.testing.assert_close(motion, measured, rtol=0, atol=1e-12)
+            refined = se3.inverse(torch.from_numpy(odometry.T_cam_world))
+            torch.testing.assert_close(result.T_world_cam, refined)
+    assert keyframes > 2
+
+
 def test_reset_forgets_everything_and_starts_where_it_is_told(plain: tuple[IdRgbdo, Run], desk: Film) -> None:
     odometry = IdRgbdo()
     run(odometry, [*desk.frames[:12], *(replace(frame, gray=0 * frame.gray) for frame in desk.frames[12:17])])
@@ -176,6 +193,15 @@ def test_slow_changes_of_exposure_are_no_motion(desk: Film) -> None:
     done = run(odometry, frames)
     assert done.statuses == (Status.OK,) * 40
     assert evaluate(odometry.trajectory(), desk.groundtruth).ate.rmse_m < 0.003
+
+
+def test_the_brightness_of_the_frame_before_is_where_the_next_begins(desk: Film) -> None:
+    odometry = IdRgbdo(config(keyframe=KeyframeConfig(threshold_bits=50.0)))
+    for n, frame in enumerate(desk.frames[:6]):
+        odometry.track(replace(frame, gray=1.3 * frame.gray + 5) if n >= 2 else frame)
+        a, b = odometry.affine
+        expected = 135 if n >= 2 else 100  # of gray level 100
+        assert np.exp(a) * 100 + b == pytest.approx(expected, abs=3)
 
 
 def config(**parts: object) -> Config:

@@ -155,7 +155,7 @@ def test_skipped_frames_are_no_loss(desk: Film) -> None:
 def test_a_clock_that_stands_still_or_runs_backwards_does_not_freeze_the_pose(desk: Film, tick_s: float) -> None:
     """The motion prior must not take every motion for an impossible one."""
     frames = [replace(frame, timestamp=n * tick_s) for n, frame in enumerate(desk.frames[:20])]
-    done = run(IdRgbdo(), frames)
-    assert Status.LOST not in done.statuses
-    first, last = done.records[0].result.T_world_cam, done.records[19].result.T_world_cam
-    assert (se3.inverse(last) @ first @ se3.inverse(desk.T(19, 0)))[:3, 3].norm() < 0.008
+    for n, record in enumerate(run(IdRgbdo(), frames).records):
+        assert record.result.status is not Status.LOST
+        E = record.result.T_world_cam @ desk.T(n, 0)
+        assert E[:3, 3].norm() < (0.002 if n < 5 else 0.008)

@@ -100,10 +100,13 @@ def test_the_result_is_symmetric_and_has_no_negative_direction() -> None:
     star = marginalize(H, b, MARGINAL).H
     assert torch.equal(star, star.mT)
     assert torch.linalg.eigvalsh(star).min() > -1e-9 * star.abs().max()
-    indefinite = schur_information(
-        torch.diag(torch.tensor([2.0, -3.0])).double(), torch.zeros(2, 0).double(), torch.zeros(0, 0).double()
-    )
-    torch.testing.assert_close(indefinite, torch.diag(torch.tensor([2.0, 0.0])).double())
+    none = torch.zeros(2, 0, dtype=torch.float64), torch.zeros(0, 0, dtype=torch.float64)
+    for M, expected in (
+        ([[2.0, 0.0], [0.0, -3.0]], [[2.0, 0.0], [0.0, 0.0]]),
+        ([[2.0, 3.0], [3.0, 2.0]], [[2.5, 2.5], [2.5, 2.5]]),  # eigenvalues 5 and -1
+    ):
+        clipped = schur_information(torch.tensor(M).double(), *none)
+        torch.testing.assert_close(clipped, torch.tensor(expected).double())
 
 
 def test_an_unmeasured_variable_takes_nothing_along() -> None:
