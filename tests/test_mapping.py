@@ -13,7 +13,10 @@ from idrgbdo_torch.camera import Pinhole, project
 from idrgbdo_torch.candidates import make_keyframe
 from idrgbdo_torch.config import Config
 from idrgbdo_torch.frame import Keyframe, RgbdFrame, prepare
+from idrgbdo_torch.kernels import choice
 from idrgbdo_torch.mapping import Cloud, condense, keyframe_cloud, merge_in_voxels, world_cloud
+from idrgbdo_torch.selection import point_bits
+from idrgbdo_torch.tracking import kernel_noise
 
 CAMERA = Pinhole(width=160, height=120, fx=130.0, fy=128.0, cx=80.5, cy=58.0)
 
@@ -156,6 +159,22 @@ def test_the_map_of_a_run_lies_on_the_wall(window: bool) -> None:
     assert (bits > 0).all()
     assert result.points <= len(uv)
     assert ((uv >= 0) & (uv <= torch.tensor([CAMERA.width - 1, CAMERA.height - 1]))).all()
+
+
+def test_the_bits_of_a_point_are_what_would_be_lost_without_it() -> None:
+    keyframe = wall_keyframe()
+    index = np.arange(0, len(keyframe.points.uv), 5)
+    noise = kernel_noise(Config().noise)
+    uv, bits = point_bits(keyframe, np.eye(4), index, noise)
+    np.testing.assert_allclose(uv.numpy(), keyframe.points.uv[index])
+    cam = keyframe.frame.intrinsics[0]
+    rows, _, _ = choice.whitened_rows(cam, CAMERA.width, CAMERA.height, 0.0, keyframe.points, index, np.eye(4), noise)
+    each = rows.transpose(0, 2, 1) @ rows  # (M, 6, 6)
+    everything = each.sum(axis=0)
+    for number in (0, 7, len(index) - 1):
+        without = np.linalg.slogdet(everything - each[number]).logabsdet
+        expected = 0.5 * (np.linalg.slogdet(everything).logabsdet - without) / np.log(2)
+        assert float(bits[number]) == pytest.approx(expected, rel=1e-3)
 
 
 def test_a_frame_that_is_lost_has_no_points() -> None:
