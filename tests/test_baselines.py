@@ -151,9 +151,11 @@ def test_open3d_tensor_rows_are_the_librarys_own(loss: open3d_tensor.Loss, pair:
         o3d.t.pipelines.odometry.rgbd_odometry_multi_scale(
             *images, K, o3d.core.Tensor(np.eye(4)), 1.0, method=method
         ).transformation.numpy()
-        for _ in range(5)  # its parallel sums differ from call to call, by some 5e-7
+        for _ in range(5)  # its parallel sums differ from call to call, by 5e-7 to 3e-6 with the machine's load
     ]
-    assert_same_motion(open3d_tensor.aligner(loss), np.mean(direct, axis=0), pair)
+    spread = float(np.ptp(direct, axis=0).max())
+    assert spread < 2e-5
+    assert_same_motion(open3d_tensor.aligner(loss), np.mean(direct, axis=0), pair, atol=1e-6 + 2 * spread)
 
 
 @pytest.mark.parametrize("term", ["Color", "Hybrid"])
@@ -194,10 +196,10 @@ def test_opencv_rows_are_the_librarys_own(kind: opencv.Kind, pair: Pair) -> None
     assert_same_motion(opencv.aligner(kind), direct, pair)
 
 
-def assert_same_motion(align: Raw, direct: np.ndarray, pair: Pair) -> None:
+def assert_same_motion(align: Raw, direct: np.ndarray, pair: Pair, atol: float = 1e-6) -> None:
     T_second_first = align(pair.first, pair.second, EYE)
     assert isinstance(T_second_first, Tensor)
-    np.testing.assert_allclose(T_second_first.numpy(), direct, atol=1e-6)
+    np.testing.assert_allclose(T_second_first.numpy(), direct, atol=atol)
     assert (T_second_first - EYE).abs().max() > 1e-3
 
 
