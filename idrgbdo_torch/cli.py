@@ -15,6 +15,7 @@ from tyro.conf import FlagConversionOff, Positional, arg, subcommand
 from . import __version__, configfile
 from .compare_command import CompareCommand, compare
 from .config import Config
+from .download_command import DownloadCommand, download
 from .errors import IdRgbdoError
 from .synthetic.config import SynthConfig
 
@@ -76,7 +77,7 @@ class DemoCommand:
     out: Path | None = None  # folder for the results; else runs/demo/<time>
 
 
-Command = RunCommand | EvaluateCommand | SynthCommand | DemoCommand | CompareCommand
+Command = RunCommand | EvaluateCommand | SynthCommand | DemoCommand | CompareCommand | DownloadCommand
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -85,6 +86,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         command = parse(list(sys.argv[1:] if argv is None else argv))
         if isinstance(command, CompareCommand):
             return compare(command)
+        if isinstance(command, DownloadCommand):
+            return download(command)
         from . import commands
 
         if isinstance(command, RunCommand):
@@ -115,6 +118,7 @@ def parse(argv: list[str]) -> Command:
         | Annotated[SynthCommand, subcommand("synth")]
         | Annotated[DemoCommand, subcommand("demo", default=DemoCommand(settings))]
         | Annotated[CompareCommand, subcommand("compare")]
+        | Annotated[DownloadCommand, subcommand("download")]
     )
     arguments = [re.sub(r"^(--[\w.-]+=)?(true|false)$", _capitalised, argument) for argument in argv] or ["--help"]
     command: Command = tyro.cli(commands, prog="idrgbdo", description=DESCRIPTION, args=arguments)

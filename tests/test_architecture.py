@@ -23,12 +23,12 @@ FLOORS = (
     {"selection", "tracking", "keyframe", "marginalization"},  # decisions
     {"candidates", "window", "mapping"},
     {"id_rgbdo"},  # system
-    {"datasets", "synthetic", "evaluation", "figures"},  # world
+    {"datasets", "synthetic", "evaluation", "figures", "download"},  # world
     {"runfolder"},
     {"comparison"},
     {"report"},
     {"experiments", "terminal"},  # doors
-    {"commands", "compare_command"},
+    {"commands", "compare_command", "download_command"},
     {"cli"},
     {"__main__", "__init__"},
 )
