@@ -20,6 +20,9 @@ FLOORS = (
     {"frame", "trajectory", "config"},  # things
     {"odometry", "methods"},
     {"photometric"},  # measurement
+    {"batched"},
+    {"alignment"},
+    {"torch_backend"},
     {"selection", "tracking", "keyframe", "marginalization"},  # decisions
     {"candidates", "window", "mapping"},
     {"id_rgbdo"},  # system

@@ -1,0 +1,254 @@
+"""B frame pairs aligned at once (section 4.2): coarse to fine, damped Gauss-Newton, robust; differentiable if asked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import conv2d, pad
+
+from .batched import (
+    PIXELS,
+    TRACKING_PATTERN,
+    HostPoints,
+    NormalEquations,
+    ResidualNoise,
+    Target,
+    linearise_pairs,
+    residual_noise,
+    robust_scale,
+    sample_patterns,
+)
+from .camera import Pinhole
+from .errors import IdRgbdoError
+from .frame import COARSE_BLUR
+from .image import pyramid
+from .se3 import inverse, log, retract
+from .solver import solve
+
+STEPS = (8, 10, 12, 12)  # most iterations per level, finest first
+SETTLED = 0.03  # standard deviations; a smaller step ends a level
+FLOOR = 1e-9  # added to the diagonal: a direction that nothing measures does not move
+AFFINE_SIGMA = (0.1, 10.0)  # of gain and gray levels, about the guess
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of B pairs beforehand: Gaussians about a pose and a brightness."""
+
+    T_target_host: Tensor  # (B, 4, 4) float64
+    information: Tensor  # (B, 6, 6) of a left increment of it
+    affine: Tensor  # (B, 2)
+    affine_information: Tensor  # (B, 2, 2)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One pyramid level of B pairs."""
+
+    points: HostPoints
+    target: Target
+    steps: int  # most iterations
+    pixels: int = PIXELS  # of the patch that are compared
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Where B pairs have got to."""
+
+    T_target_host: Tensor  # (B, 4, 4) float64
+    affine: Tensor  # (B, 2) float64
+    prior: Prior
+    scale: Tensor  # (B,) robust scale of the finest level
+    iterations: Tensor  # (B,) over all levels
+    change: Tensor  # (B,) the last step in standard deviations
+
+
+@dataclass(frozen=True)
+class AlignedPairs:
+    """B poses, how certain they are, and what became of the points."""
+
+    T_target_host: Tensor  # (B, 4, 4) float64
+    affine: Tensor  # (B, 2) brightness of the target relative to the host: gain e^a, offset b
+    information: Tensor  # (B, 6, 6) of a left increment of the pose, brightness marginalised, prior excluded
+    rms: Tensor  # (B, N) whitened residual of each point, -1 where it is not seen
+    kept: Tensor  # (B, N) bool, points that took part
+    iterations: Tensor  # (B,)
+    ok: Tensor  # (B,) bool: everything finite, and enough points for six degrees of freedom
+
+
+def host_points(
+    gray: Tensor, uv: Tensor, inverse_depth: Tensor, *, sigma: float | Tensor | None = None,
+    weight: Tensor | None = None, levels: int = len(STEPS),
+) -> HostPoints:  # fmt: skip
+    """Points uv (B, N, 2) px of keyframes gray (B, H, W) in levels 0..255 at inverse depth (B, N) in 1/m, 0 for none.
+
+    sigma: of the inverse depths, 1/m, a number or (B, N); a Kinect's by default. weight: (B, N) or (B, N, 8), a factor
+    above 0 on the information of a point or of its pixels, for example one that is learnt.
+    """
+    if gray.ndim != 3 or uv.shape != (*inverse_depth.shape, 2) or uv.shape[0] != gray.shape[0]:
+        raise IdRgbdoError(
+            f"host_points: expected gray (B, H, W), uv (B, N, 2), inverse_depth (B, N), got {tuple(gray.shape)}, "
+            f"{tuple(uv.shape)}, {tuple(inverse_depth.shape)}; pad shorter pairs with an inverse depth of 0"
+        )
+    default = residual_noise().sigma_depth
+    spread = torch.as_tensor(default if sigma is None else sigma, dtype=uv.dtype)
+    patches, gradients = sample_patterns(tracking_pyramid(gray, levels), uv, TRACKING_PATTERN)
+    variance = spread.square().expand_as(inverse_depth)
+    return HostPoints(uv, inverse_depth, variance, tuple(patches), tuple(gradients), weight)
+
+
+def tracking_pyramid(gray: Tensor, levels: int) -> tuple[Tensor, ...]:
+    """Halvings of gray (B, H, W), finest first, the coarse ones blurred so that texture does not alias there."""
+    images = pyramid(gray, levels)
+    return (images[0], *(_blurred(image) for image in images[1:]))
+
+
+def align_pairs(
+    points: HostPoints, gray: Tensor, camera: Pinhole, *, depth: Tensor | None = None, T_guess: Tensor | None = None,
+    affine: Tensor | None = None, information: Tensor | None = None, noise: ResidualNoise | None = None,
+    steps: Sequence[int] = STEPS, gradient_steps: int = 1,
+) -> AlignedPairs:  # fmt: skip
+    """Align target images gray (B, H, W) to the keyframes of the points, all pairs at once.
+
+    depth: (B, H, W) m of the targets, 0 where missing; without it brightness alone counts. T_guess: (B, 4, 4) of
+    T_target_host, identity by default, held with the information (6, 6) or (B, 6, 6), none by default. steps: most
+    iterations per level, finest first. gradient_steps: Gauss-Newton steps at the end that autograd sees: 0 for none; 1
+    gives the gradient of the implicit function at the minimum; more unroll. The search before them is not recorded.
+    """
+    B = len(points.uv)
+    if gray.ndim != 3 or len(gray) != B or len(points.patch) < len(steps):
+        raise IdRgbdoError(
+            f"align_pairs: expected gray ({B}, H, W) and points with {len(steps)} levels, got {tuple(gray.shape)} and "
+            f"{len(points.patch)}; pass as many images as pairs, and levels to host_points"
+        )
+    noise = noise or residual_noise()
+    eye = torch.eye(4, dtype=torch.float64).expand(B, 4, 4)
+    start = eye if T_guess is None else T_guess.double()
+    known = torch.zeros(6, 6, dtype=torch.float64) if information is None else information.double()
+    brightness = torch.zeros(B, 2, dtype=torch.float64) if affine is None else affine.double()
+    spread = torch.diag(torch.tensor(AFFINE_SIGMA, dtype=torch.float64) ** -2).expand(B, 2, 2)
+    prior = Prior(start, known.expand(B, 6, 6), brightness, spread)
+    inverse_depth = None if depth is None else torch.where(depth > 0, 1 / depth.clamp(min=1e-6), 0.0)
+    images = tracking_pyramid(gray, len(steps))
+    problems = [Problem(points, Target(k, images[k], camera, inverse_depth), steps[k]) for k in range(len(steps))]
+
+    with torch.no_grad():
+        found = descend(problems, prior, noise)
+    T, a = found.T_target_host, found.affine
+    system = linearise_pairs(points, problems[0].target, T, a, noise, found.scale, noise.outlier)
+    for _ in range(gradient_steps):
+        H, b, _energy = with_prior(system, T, a, found.prior)
+        step = solve(H + FLOOR * torch.eye(8, dtype=H.dtype), b).y
+        T, a = retract(step[:, :6], T), a + step[:, 6:]
+        system = linearise_pairs(points, problems[0].target, T, a, noise, found.scale, noise.outlier)
+    certain = pose_information(system.H, found.prior.affine_information)
+    finite = T.isfinite().all(-1).all(-1) & certain.isfinite().all(-1).all(-1)
+    ok = finite & (system.kept.sum(-1) >= 6)
+    return AlignedPairs(T, a, certain, system.rms, system.kept, found.iterations, ok)
+
+
+def descend(problems: Sequence[Problem], prior: Prior, noise: ResidualNoise) -> Estimate:
+    """Damped Gauss-Newton from the prior's pose over the levels, finest first in `problems`, coarsest first in time.
+
+    Each pair has its own damping, and rests once it has settled. On the finest level a second round works with the
+    outlier limit that the first has found. The brightness that the many points of level 1 agree on is the prior of the
+    finest.
+    """
+    T, affine = prior.T_target_host, prior.affine
+    B = len(T)
+    scale, change = torch.ones(B, dtype=torch.float64), torch.zeros(B, dtype=torch.float64)
+    iterations = torch.zeros(B, dtype=torch.int64)
+    for level in reversed(range(len(problems))):
+        problem = problems[level]
+        for _ in range(1 if level > 0 else 2):
+            first = linearise_pairs(problem.points, problem.target, T, affine, noise, pixels=problem.pixels)
+            scale = robust_scale(first.rms)
+            T, affine, count, change = _search(problem, T, affine, prior, noise, scale, change)
+            iterations = iterations + count
+        if level == 1:
+            here = _system(problem, T, affine, noise, scale)
+            learnt = brightness_information(here.H, prior.information)
+            prior = Prior(prior.T_target_host, prior.information, affine, prior.affine_information + learnt)
+    return Estimate(T, affine, prior, scale, iterations, change)
+
+
+def _search(
+    problem: Problem, T: Tensor, affine: Tensor, prior: Prior, noise: ResidualNoise, scale: Tensor, change: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """One level: pose, brightness, iterations (B,) and the last step (B,) in standard deviations."""
+    system = _system(problem, T, affine, noise, scale)
+    H, b, energy = with_prior(system, T, affine, prior)
+    seen = system.seen.sum(-1)
+    eye = torch.eye(8, dtype=H.dtype)
+    damping = torch.zeros_like(energy)
+    active = torch.ones_like(energy, dtype=torch.bool)
+    count = torch.zeros_like(seen)
+    for _ in range(problem.steps):
+        count = count + active
+        solution = solve(H + FLOOR * eye, b, damping)
+        active = active & solution.ok
+        step = solution.y
+        change = torch.where(active, (step * b).sum(-1).clamp(min=0).sqrt(), change)
+        T_new, affine_new = retract(step[:, :6], T), affine + step[:, 6:]
+        system = _system(problem, T_new, affine_new, noise, scale)
+        H_new, b_new, energy_new = with_prior(system, T_new, affine_new, prior)
+        seen_new = system.seen.sum(-1)
+        # a point that leaves the image must not look like a gain
+        lost = (seen - seen_new).clamp(min=0) * problem.pixels
+        better = energy_new.isfinite() & (energy_new + lost <= energy)
+        take = active & better
+        T, affine = torch.where(take[:, None, None], T_new, T), torch.where(take[:, None], affine_new, affine)
+        H, b = torch.where(take[:, None, None], H_new, H), torch.where(take[:, None], b_new, b)
+        energy, seen = torch.where(take, energy_new, energy), torch.where(take, seen_new, seen)
+        shrunk = torch.where(damping < 4e-4, 0.0, 0.25 * damping)
+        damping = torch.where(better, shrunk, (4 * damping).clamp(min=0.1))
+        active = active & (better | (damping <= 1e4)) & (change >= SETTLED)
+        if not bool(active.any()):
+            break
+    return T, affine, count, change
+
+
+def _system(problem: Problem, T: Tensor, affine: Tensor, noise: ResidualNoise, scale: Tensor) -> NormalEquations:
+    return linearise_pairs(problem.points, problem.target, T, affine, noise, scale, noise.outlier, problem.pixels)
+
+
+def with_prior(system: NormalEquations, T: Tensor, affine: Tensor, prior: Prior) -> tuple[Tensor, Tensor, Tensor]:
+    """H (B, 8, 8), b (B, 8) and energy (B,) of the measurements and the prior, at a pose and a brightness."""
+    off = log(T @ inverse(prior.T_target_host))  # (B, 6)
+    pull = (prior.information @ off[..., None])[..., 0]
+    off_affine = affine - prior.affine
+    pull_affine = (prior.affine_information @ off_affine[..., None])[..., 0]
+    H = system.H + pad(prior.information, (0, 2, 0, 2)) + pad(prior.affine_information, (6, 0, 6, 0))
+    b = system.b - torch.cat([pull, pull_affine], dim=-1)
+    return H, b, system.energy + (off * pull).sum(-1) + (off_affine * pull_affine).sum(-1)
+
+
+def pose_information(H: Tensor, affine_information: Tensor) -> Tensor:
+    """(B, 6, 6): brightness, with its prior (B, 2, 2), marginalised from the measurements' H (B, 8, 8)."""
+    brightness = H[:, 6:, 6:] + affine_information
+    out: Tensor = H[:, :6, :6] - H[:, :6, 6:] @ torch.linalg.solve(brightness, H[:, 6:, :6])
+    return 0.5 * (out + out.mT)
+
+
+def brightness_information(H: Tensor, information: Tensor) -> Tensor:
+    """(B, 2, 2) of the brightness, the pose marginalised under its prior (B, 6, 6); zero where that fails."""
+    columns = [solve(H[:, :6, :6] + information, H[:, :6, 6 + k]) for k in range(2)]
+    x = torch.stack([column.y for column in columns], dim=-1)  # (B, 6, 2)
+    out = H[:, 6:, 6:] - H[:, 6:, :6] @ x
+    out = 0.5 * (out + out.mT)
+    positive = (out[:, 0, 0] > 0) & (torch.linalg.det(out) > 0) & columns[0].ok & columns[1].ok
+    return torch.where(positive[:, None, None], out, 0.0)
+
+
+def _blurred(image: Tensor) -> Tensor:
+    """A 5x5 Gaussian of COARSE_BLUR px, reflected at the border; image (B, H, W)."""
+    at = torch.arange(-2, 3, dtype=image.dtype)
+    kernel = torch.exp(-0.5 * (at / COARSE_BLUR) ** 2)
+    kernel = kernel / kernel.sum()
+    padded = pad(image[:, None], (2, 2, 2, 2), mode="reflect")
+    rows = conv2d(padded, kernel[None, None, None, :])
+    blurred: Tensor = conv2d(rows, kernel[None, None, :, None])[:, 0]
+    return blurred

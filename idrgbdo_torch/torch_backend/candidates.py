@@ -1,0 +1,112 @@
+"""Candidate extraction and local depth planes in torch: twin of kernels.candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, pad
+
+from ..batched import TRACKING_PATTERN, sample_patterns
+from ..image import gradient as image_gradient
+from ..solver import solve
+from .convert import Array
+
+BINS = 64  # gray levels per px; stronger gradients count as the last one
+TRIES = 6  # pixels of a cell that are looked at for a depth plane
+
+
+def gradient_squared(image: Array) -> Array:
+    """Squared central-difference gradient (H, W) float32, zero on the border."""
+    g = image_gradient(torch.from_numpy(image)).double()
+    return np.asarray(g.square().sum(-3).float())
+
+
+def block_thresholds(gradient2: Array, block: int, offset: float) -> Array:
+    """Median gradient of each block plus offset, averaged 3x3, squared."""
+    bins = torch.from_numpy(gradient2).sqrt().long().clamp(max=BINS - 1)
+    height, width = bins.shape
+    rows, cols = -(-height // block), -(-width // block)
+    number = (torch.arange(height) // block)[:, None] * cols + torch.arange(width) // block
+    counts = torch.bincount((number * BINS + bins).flatten(), minlength=rows * cols * BINS).reshape(rows, cols, BINS)
+    past_half = 2 * counts.cumsum(-1) > counts.sum(-1, keepdim=True)
+    raw = past_half.long().argmax(-1) + offset  # the first bin that passes half
+    smooth = avg_pool2d(raw.double()[None], 3, stride=1, padding=1, count_include_pad=False)[0]
+    return np.asarray(smooth.square())
+
+
+def planes_at(depth: Array, uv: Array, radius: int, sigma: float) -> tuple[Array, Array]:
+    """Inverse depth (N,) from planes through the neighbourhoods of pixels uv (N, 2), and where there is one (N,)."""
+    valid, inverse_depth = _planes(torch.from_numpy(depth), torch.from_numpy(uv).long(), radius, sigma)
+    return valid.numpy(), inverse_depth.numpy()
+
+
+def grid_candidates(
+    gradient2: Array, thresholds: Array, block: int, edges: Array, depth: Array, cell: int, border: int, radius: int,
+    sigma: float,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """One candidate a grid cell: uv (M, 2), inverse depth (M,), tier (M,), row by row."""
+    g2, z = torch.from_numpy(gradient2).double(), torch.from_numpy(depth)
+    height, width = g2.shape
+    at_v, at_u = torch.arange(height) // block, torch.arange(width) // block
+    limit = torch.from_numpy(thresholds)[at_v[:, None], at_u]
+    tier = torch.where(g2 > limit, 1.0 + torch.from_numpy(edges).double(), torch.where(g2 > 0.25 * limit, 0.0, -1.0))
+    score = torch.where((z > 0) & (tier >= 0), tier * 1e7 + g2, -1.0)[border : height - border, border : width - border]
+
+    rows, cols = -(-score.shape[0] // cell), -(-score.shape[1] // cell)
+    padded = pad(score, (0, cols * cell - score.shape[1], 0, rows * cell - score.shape[0]), value=-1.0)
+    cells = padded.reshape(rows, cell, cols, cell).permute(0, 2, 1, 3).reshape(rows * cols, cell * cell)
+    best, order = cells.sort(dim=-1, descending=True, stable=True)  # of equals the first
+    best, order = best[:, :TRIES], order[:, :TRIES]
+    number = torch.arange(rows * cols)[:, None]
+    u = border + (number % cols) * cell + order % cell
+    v = border + (number // cols) * cell + order // cell
+    uv = torch.stack([u, v], dim=-1)  # (cells, tries, 2)
+    tried = best >= 0
+    inside = torch.where(tried[..., None], uv, border)
+    valid, inverse_depth = _planes(z, inside.reshape(-1, 2), radius, sigma)
+    valid = valid.reshape(tried.shape) & tried
+    found = valid.any(-1)
+    first = valid.long().argmax(-1, keepdim=True)
+
+    def take(x: Tensor) -> Tensor:
+        return x.gather(-1, first)[found, 0]
+
+    chosen = torch.stack([take(u), take(v)], dim=-1).double()
+    tiers = torch.div(take(best), 1e7, rounding_mode="floor").long()
+    return chosen.numpy(), take(inverse_depth.reshape(tried.shape)).numpy(), tiers.numpy()
+
+
+def sample_patches(images: Sequence[Array], uv: Array, pixels: int) -> tuple[Array, Array]:
+    """Reference intensities (L, N, P) and gradients (L, N, P, 2) float32."""
+    pyramid = [torch.from_numpy(image) for image in images]
+    patches, gradients = sample_patterns(pyramid, torch.from_numpy(uv), TRACKING_PATTERN[:pixels])
+    return torch.stack(patches).float().numpy(), torch.stack(gradients).float().numpy()
+
+
+def _planes(depth: Tensor, uv: Tensor, radius: int, sigma: float) -> tuple[Tensor, Tensor]:
+    """Twin of kernels.candidates.fit_plane at whole pixels uv (N, 2): validity (N,), inverse depth (N,)."""
+    height, width = depth.shape
+    u, v = uv.unbind(-1)
+    inside = (u >= radius) & (v >= radius) & (u < width - radius) & (v < height - radius)
+    u, v = torch.where(inside, u, radius), torch.where(inside, v, radius)
+    side = torch.arange(-radius, radius + 1)
+    j, i = (x.flatten() for x in torch.meshgrid(side, side, indexing="ij"))
+    z = depth.double()[v[:, None] + j, u[:, None] + i]  # (N, side^2)
+    here = depth.double()[v, u]
+    known = z > 0
+    centre = 1 / torch.where(here > 0, here, 1.0)
+    d = torch.where(known, 1 / torch.where(known, z, 1.0) - centre[:, None], 0.0)
+    near = (i.abs() <= 2) & (j.abs() <= 2)
+    gate = (0.06 * centre).clamp(min=5 * sigma)
+    valid = inside & (here > 0) & (known | ~near).all(-1) & (d.abs() <= gate[:, None]).all(-1)
+    valid = valid & (known.sum(-1) >= (2 * radius + 1) ** 2 * 3 // 4)
+    J = torch.stack([torch.ones_like(i), i, j], dim=-1).double()  # (side^2, 3)
+    A = (known.double()[:, :, None, None] * (J[:, :, None] * J[:, None])).sum(1)
+    rhs = d @ J
+    fit = solve(A, rhs)
+    residual2 = (d.square().sum(-1) - (fit.y * rhs).sum(-1)) / known.sum(-1).clamp(min=1)
+    valid = valid & fit.ok & (residual2 <= (2 * sigma) ** 2)
+    return valid, torch.where(valid, centre + fit.y[:, 0], 0.0)

@@ -1,0 +1,220 @@
+"""The torch backend against the fused kernels: function by function, then a whole sequence."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+import torch
+from plane_scene import close
+from rendered import SMALL, Film, film
+from tracking_cases import CONFIG, NOISE, PRIOR, Case, make_cases
+from window_cases import Desk, make_desk
+
+from idrgbdo_torch import IdRgbdo, Status, kernels, run, se3, selection, torch_backend, tracking, window
+from idrgbdo_torch import candidates as candidates_file
+from idrgbdo_torch.candidates import BLOCK, BORDER, PLANE_RADIUS, THRESHOLD_OFFSET
+from idrgbdo_torch.kernels import alignment, bundle, candidates, choice
+from idrgbdo_torch.selection import select_informative
+from idrgbdo_torch.torch_backend import alignment as torch_alignment
+from idrgbdo_torch.torch_backend import bundle as torch_bundle
+from idrgbdo_torch.torch_backend import candidates as torch_candidates
+from idrgbdo_torch.torch_backend import choice as torch_choice
+from idrgbdo_torch.tracking import AFFINE_PRIOR, STEPS
+from idrgbdo_torch.window import Linearised
+
+LEVELS = CONFIG.tracking.levels
+TWINS = (
+    (alignment, torch_alignment),
+    (choice, torch_choice),
+    (bundle, torch_bundle),
+    (candidates, torch_candidates),
+)
+NEAR = se3.exp(torch.tensor([0.003, -0.002, 0.001, 0.001, -0.002, 0.0005], dtype=torch.float64))  # off whole pixels
+
+
+@pytest.fixture(scope="module")
+def cases(desk: Film) -> list[Case]:
+    return make_cases(desk)
+
+
+@pytest.fixture(scope="module")
+def windows(desk: Film) -> Desk:
+    return make_desk(desk)
+
+
+def alignment_arguments(case: Case, levels: int = LEVELS) -> tuple[Any, ...]:
+    keyframe, T = case.keyframe, NEAR.numpy()
+    return (
+        case.frame.images, case.frame.depth, keyframe.frame.intrinsics, keyframe.points, keyframe.coarse,
+        case.choose(24), T, np.array([0.02, -1.0]), PRIOR, np.linalg.inv(T), AFFINE_PRIOR, NOISE, STEPS[:levels],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("levels", [1, 2, LEVELS])
+def test_alignment(cases: list[Case], levels: int) -> None:
+    for case in cases[:2] if levels < LEVELS else cases:
+        arguments = alignment_arguments(case, levels)
+        fused, mine = alignment.align(*arguments), torch_alignment.align(*arguments)
+        T, affine, H, rms, scale, iterations, seen, kept, change = mine
+        close(T, fused[0], 1e-10)
+        close(affine, fused[1], 1e-8)
+        unit = np.diag(fused[2]) ** -0.5
+        close(unit[:, None] * H * unit, unit[:, None] * fused[2] * unit, 1e-9)
+        close(rms, fused[3], 1e-9)
+        assert (iterations, seen, kept) == fused[5:8]
+        assert (scale, change) == pytest.approx((fused[4], fused[8]), rel=1e-6)
+        assert iterations >= 5 * levels and kept > 12
+
+
+def test_alignment_moves_neither_its_guess_nor_the_images(cases: list[Case]) -> None:
+    arguments = alignment_arguments(cases[0])
+    before = [np.array(x) for x in (arguments[1], arguments[6], arguments[7], arguments[8])]
+    torch_alignment.align(*arguments)
+    for x, was in zip((arguments[1], arguments[6], arguments[7], arguments[8]), before, strict=True):
+        assert np.array_equal(x, was)
+
+
+@pytest.mark.parametrize("use_depth", [True, False])
+@pytest.mark.parametrize("paper", [True, False])
+def test_rows_and_verification(cases: list[Case], use_depth: bool, paper: bool) -> None:
+    case = cases[1]
+    points, camera = case.keyframe.points, case.keyframe.frame.camera
+    everyone = np.random.default_rng(0).permutation(len(points.uv))[:500]
+    noise = NOISE._replace(use_depth=use_depth, paper_variance=paper)
+    cam, T = case.keyframe.frame.intrinsics, case.T.numpy()
+    arguments = (cam[0], camera.width, camera.height, 20.0, points, everyone, T, noise)
+    for mine, fused in zip(torch_choice.whitened_rows(*arguments), choice.whitened_rows(*arguments), strict=True):
+        close(mine.astype(float), fused.astype(float), 1e-9)
+    for level in (0, 1):
+        arguments = (
+            case.frame.images[level], case.frame.depth, cam[level], level, points, points.patch[level], everyone, T,
+            np.array([0.05, 3.0]), noise, 12.0,
+        )  # fmt: skip
+        counts = torch_choice.verify(*arguments)
+        assert counts == choice.verify(*arguments)
+        assert 0 < counts[1] < counts[0] < 500 and 0 < counts[3] <= counts[2]
+
+
+@pytest.mark.parametrize("cell", [4, 9, 13])
+def test_candidates(desk: Film, cases: list[Case], cell: int) -> None:
+    image, depth = cases[0].frame.images[0], cases[0].frame.depth.copy()
+    depth[50:60, 100:140] = 0.0
+    g2 = candidates.gradient_squared(image)
+    np.testing.assert_array_equal(torch_candidates.gradient_squared(image), g2)
+    limits = candidates.block_thresholds(g2, BLOCK, THRESHOLD_OFFSET)
+    close(torch_candidates.block_thresholds(g2, BLOCK, THRESHOLD_OFFSET), limits, 1e-12)
+    edges = np.random.default_rng(0).uniform(size=image.shape) < 0.1
+    arguments = (g2, limits, BLOCK, edges, depth, cell, BORDER, PLANE_RADIUS, 0.0025)
+    fused, mine = candidates.grid_candidates(*arguments), torch_candidates.grid_candidates(*arguments)
+    np.testing.assert_array_equal(mine[0], fused[0])
+    close(mine[1], fused[1], 1e-10)
+    np.testing.assert_array_equal(mine[2], fused[2])
+    assert len(fused[0]) > 100 and set(fused[2]) == {0, 1, 2}
+    uv = np.random.default_rng(0).integers(0, [image.shape[1], image.shape[0]], (500, 2)).astype(float)
+    fused, mine = (f(depth, uv, PLANE_RADIUS, 0.0025) for f in (candidates.planes_at, torch_candidates.planes_at))
+    np.testing.assert_array_equal(mine[0], fused[0])
+    close(mine[1], fused[1], 1e-10)
+
+
+def test_patches(cases: list[Case]) -> None:
+    images, uv = cases[0].frame.images, cases[0].keyframe.points.uv
+    for mine, fused in zip(
+        torch_candidates.sample_patches(images, uv, 8), candidates.sample_patches(images, uv, 8), strict=True
+    ):
+        close(mine, fused, 1e-5)
+
+
+@pytest.mark.parametrize(
+    ("limit", "use_depth", "first_estimates"), [(1e9, True, False), (1.0, True, True), (1.0, False, True)]
+)
+def test_window(windows: Desk, limit: float, use_depth: bool, first_estimates: bool) -> None:
+    window = windows.window(5, off_m=0.003, off_rad=0.002)
+    window.affine += 0.01 * np.random.default_rng(0).standard_normal(window.affine.shape) * [1, 100]
+    points = window.points()
+    points.valid[1, -3:] = False
+    hosts = np.array([True, True, False, True, True])
+    T_linear = window.T_kf_world
+    if first_estimates:
+        T_linear = se3.retract(0.002 * torch.randn(5, 6, generator=torch.Generator().manual_seed(0)).double(),
+                               torch.from_numpy(T_linear)).numpy()  # fmt: skip
+    noise = NOISE._replace(use_depth=use_depth)
+
+    def linearised(linearise: Callable[..., float]) -> tuple[float, Linearised]:
+        out = Linearised(*window.inv_depth.shape)
+        energy = linearise(
+            window.images, window.depths, window.slots, window.keyframes[0].frame.intrinsics[0], window.T_kf_world,
+            T_linear, window.affine, window.inv_depth, points, hosts, limit, noise,
+            out.H, out.b, out.Hd, out.cross, out.bd, out.rms,
+        )  # fmt: skip
+        return energy, out
+
+    energy, fused = linearised(bundle.linearise_window)
+    energy_mine, mine = linearised(torch_bundle.linearise_window)
+    assert energy_mine == pytest.approx(energy, rel=1e-10)
+    unit, unit_d = np.maximum(np.diag(fused.H), 1e-9) ** -0.5, np.maximum(fused.Hd, 1e-9) ** -0.5
+    close(unit[:, None] * mine.H * unit, unit[:, None] * fused.H * unit)
+    close(unit * mine.b, unit * fused.b)
+    close(mine.Hd, fused.Hd)
+    close(unit_d * mine.bd, unit_d * fused.bd)
+    close(unit_d[..., None] * mine.cross * unit, unit_d[..., None] * fused.cross * unit)
+    close(mine.rms, fused.rms)
+    seen = fused.rms >= 0
+    assert seen.any() and (limit > 1e3 or 0 < (fused.rms[seen] > limit).sum() < seen.sum())
+    arguments = (fused.H, fused.b, fused.Hd, fused.cross, fused.bd)
+    for reduced, expected in zip(
+        torch_bundle.eliminate_depths(*arguments), bundle.eliminate_depths(*arguments), strict=True
+    ):
+        close(reduced, expected, 1e-12)
+
+
+def test_every_function_that_the_tracker_calls_has_its_twin() -> None:
+    for fused, mine in TWINS:
+        assert mine.__name__.removeprefix(torch_backend.__name__) == fused.__name__.removeprefix(kernels.__name__)
+    callers = "".join(inspect.getsource(module) for module in (tracking, selection, candidates_file, window))
+    for fused, mine in TWINS:
+        short = fused.__name__.split(".")[-1]
+        used = set(re.findall(rf"\b(?:{short}|fused)\.(\w+)\(", callers)) & set(vars(fused))
+        assert used - {"select"} <= set(vars(mine)) and used
+
+
+def use_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the tracker run on the torch functions."""
+    for fused, mine in TWINS:
+        for name in vars(mine):
+            if hasattr(fused, name) and isinstance(vars(fused)[name], numba.core.dispatcher.Dispatcher):
+                monkeypatch.setattr(fused, name, getattr(mine, name))
+
+    def select(
+        A: np.ndarray, seen: np.ndarray, where: np.ndarray, radius: np.ndarray, m: int, information: np.ndarray,
+        spread: float, c_z: float, distance: float,
+    ) -> np.ndarray:  # fmt: skip
+        visible = np.flatnonzero(seen)
+        rows, radius, where = (torch.from_numpy(x[visible]) for x in (A, radius, where))
+        chosen = select_informative(
+            rows, radius, m, torch.from_numpy(information), spread=spread, c_z=c_z, where=where, distance=distance
+        )
+        return visible[chosen.numpy()]
+
+    monkeypatch.setattr(choice, "select", select)
+
+
+def test_a_hundred_frames_give_the_same_trajectory(monkeypatch: pytest.MonkeyPatch) -> None:
+    sequence = film(replace(SMALL, frames=100, samples=1))
+    with monkeypatch.context() as patched:
+        use_torch(patched)
+        assert alignment.align is torch_alignment.align and bundle.linearise_window is torch_bundle.linearise_window
+        mine = run(IdRgbdo(), sequence.frames)
+    fused = run(IdRgbdo(), sequence.frames)
+    assert fused.statuses == mine.statuses == (Status.OK,) * 100
+    off = (fused.trajectory().positions - mine.trajectory().positions).norm(dim=1)
+    turned = se3.log(se3.inverse(fused.trajectory().T_world_cam) @ mine.trajectory().T_world_cam)[:, 3:].norm(dim=1)
+    assert off.max() < 1e-3 and turned.max() < 1e-3
+    path = (sequence.groundtruth.positions[1:] - sequence.groundtruth.positions[:-1]).norm(dim=1).sum()
+    assert path > 0.3 and sum(record.result.keyframe for record in fused.records) >= 3
