@@ -13,6 +13,7 @@ import tyro
 from tyro.conf import FlagConversionOff, Positional, arg, subcommand
 
 from . import __version__, configfile
+from .check_command import check
 from .compare_command import CompareCommand, compare
 from .config import Config
 from .download_command import DownloadCommand, download
@@ -52,6 +53,15 @@ class RunCommand:
 
 
 @dataclass(frozen=True)
+class CheckCommand:
+    """Find out whether a recording is fit to be tracked, and what to do where it is not."""
+
+    sequence: Positional[Path]  # as for `idrgbdo run`
+    input: Annotated[Input, arg(name="")] = field(default_factory=Input)
+    out: Path | None = None  # PNG; else runs/<sequence>/check.png
+
+
+@dataclass(frozen=True)
 class EvaluateCommand:
     """Compare a trajectory with a reference: ATE and RPE."""
 
@@ -77,7 +87,7 @@ class DemoCommand:
     out: Path | None = None  # folder for the results; else runs/demo/<time>
 
 
-Command = RunCommand | EvaluateCommand | SynthCommand | DemoCommand | CompareCommand | DownloadCommand
+Command = RunCommand | CheckCommand | EvaluateCommand | SynthCommand | DemoCommand | CompareCommand | DownloadCommand
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -88,6 +98,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return compare(command)
         if isinstance(command, DownloadCommand):
             return download(command)
+        if isinstance(command, CheckCommand):
+            return check(command)
         from . import commands
 
         if isinstance(command, RunCommand):
@@ -114,6 +126,7 @@ def parse(argv: list[str]) -> Command:
     # tyro has one union of all commands, each with the defaults that --config gives
     commands = (
         Annotated[RunCommand, subcommand("run", default=RunCommand(tyro.MISSING, settings))]
+        | Annotated[CheckCommand, subcommand("check")]
         | Annotated[EvaluateCommand, subcommand("evaluate")]
         | Annotated[SynthCommand, subcommand("synth")]
         | Annotated[DemoCommand, subcommand("demo", default=DemoCommand(settings))]

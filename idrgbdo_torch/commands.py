@@ -27,7 +27,7 @@ from .terminal import Rows, evaluation_rows, progress_bar, run_rows, show_table,
 from .trajectory import Trajectory, read_tum
 
 if TYPE_CHECKING:
-    from .cli import DemoCommand, EvaluateCommand, RunCommand, SynthCommand
+    from .cli import DemoCommand, EvaluateCommand, Input, RunCommand, SynthCommand
 
 DEMO = synthetic.SynthConfig(kind="desk", frames=90)
 INTERRUPTED = 128 + signal.SIGINT
@@ -35,9 +35,14 @@ INTERRUPTED = 128 + signal.SIGINT
 
 def run(command: RunCommand) -> int:
     """Track a recording."""
-    options = command.input
-    sequence = datasets.open_sequence(
-        command.sequence,
+    sequence = open_input(command.sequence, command.input)
+    return _track(sequence, sequence.name, command.settings, command.out, command.figures)
+
+
+def open_input(path: Path, options: Input) -> datasets.RgbdSequence:
+    """The recording at a path, read as the options say."""
+    return datasets.open_sequence(
+        path,
         camera=options.camera,
         associations=options.associations,
         depth_scale=options.depth_scale,
@@ -46,7 +51,6 @@ def run(command: RunCommand) -> int:
         every=options.every,
         max_frames=options.max_frames,
     )
-    return _track(sequence, sequence.name, command.settings, command.out, command.figures)
 
 
 def demo(command: DemoCommand) -> int:

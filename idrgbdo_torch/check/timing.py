@@ -1,0 +1,69 @@
+"""Frame rate, gaps, and how colour and depth were paired."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Of the frames' time stamps."""
+
+    period_s: float  # between neighbours where none is missing
+    intervals_s: Array  # (N - 1,)
+    missing: int  # frames that the gaps would have held
+    longest_s: float  # gap
+
+    @property
+    def missing_share(self) -> float:
+        """Of the frames there should be."""
+        return self.missing / (self.missing + len(self.intervals_s) + 1)
+
+
+def timing(timestamps: list[float]) -> Timing | None:
+    """None for less than three frames. The period is the median of the short intervals, so half may be missing."""
+    intervals = np.diff(np.array(timestamps, dtype=np.float64))
+    if len(intervals) < 2:
+        return None
+    short = intervals[intervals <= 1.5 * np.percentile(intervals, 20)]
+    period = float(np.median(short))
+    steps = np.maximum(np.rint(intervals / period), 1.0)
+    return Timing(period, intervals, int((steps - 1).sum()), float(intervals.max()))
+
+
+@dataclass(frozen=True)
+class Lists:
+    """How many images the folder's lists name, and how far their times are apart."""
+
+    color: int
+    depth: int
+    delay_s: float  # median, of the depth image nearest to a colour image
+
+
+def lists(folder: Path) -> Lists | None:
+    """From rgb.txt and depth.txt; None where the folder has no such lists."""
+    color, depth = (_times(folder / name) for name in ("rgb.txt", "depth.txt"))
+    if len(color) == 0 or len(depth) == 0:
+        return None
+    after = np.clip(np.searchsorted(depth, color), 1, max(len(depth) - 1, 1))
+    before = depth[after - 1] - color
+    delay = np.where(
+        np.abs(before) <= np.abs(depth[after % len(depth)] - color), before, depth[after % len(depth)] - color
+    )
+    return Lists(len(color), len(depth), float(np.median(delay)))
+
+
+def _times(path: Path) -> Array:
+    """The sorted times (s) of a list `timestamp file`; none where there is no such list."""
+    if not path.is_file():
+        return np.zeros(0)
+    lines = [
+        line.split()[0] for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()
+    ]
+    return np.unique(np.array([float(first) for first in lines if first.replace(".", "", 1).isdigit()]))

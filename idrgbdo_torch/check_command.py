@@ -1,0 +1,62 @@
+"""What `idrgbdo check` does and shows; what it asks for stands in cli.py, beside the options that it shares."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .check import Finding, Report
+    from .cli import CheckCommand
+
+COLORS = {"good": "green", "note": "yellow", "fault": "red", "unknown": "dim"}
+
+
+def check(command: CheckCommand) -> int:
+    """Look at a recording, show what was found, draw the picture; the exit status is 1 where there is a fault."""
+    from .check import check as check_sequence
+    from .check import sampled_frames
+    from .check.picture import draw
+    from .commands import open_input
+    from .figures import save
+    from .terminal import progress_bar
+
+    sequence = open_input(command.sequence, command.input)
+    folder = command.sequence if command.input.associations is None else None
+    whole = command.input.start == 0 and command.input.every == 1 and command.input.max_frames is None
+    with progress_bar(f"checking {sequence.name}", sampled_frames(sequence)) as advance:
+        report = check_sequence(sequence, folder if whole else None, advance)
+    picture = command.out or Path("runs") / sequence.name / "check.png"
+    save(picture, draw(report.measured))
+    _show(sequence.name, report)
+    print(f"picture: {picture}")
+    return 1 if report.faults else 0
+
+
+def _show(title: str, report: Report) -> None:
+    """A row a question; on a terminal as a table."""
+    faults = report.faults
+    verdict = f"faults: {', '.join(finding.name for finding in faults)}" if faults else "nothing wrong was found"
+    if not sys.stdout.isatty():
+        print(f"{title}, {report.measured.sampled} of {report.measured.frames} frames looked at")
+        for finding in report.findings:
+            print(f"  {finding.verdict.value:<8}{finding.name:<21}{_text(finding, '; ')}")
+        print(verdict)
+        return
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    caption = f"{report.measured.sampled} of {report.measured.frames} frames looked at; {verdict}"
+    table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
+    for column in ("", "verdict", "measured, and what to do"):
+        table.add_column(column)
+    for finding in report.findings:
+        color = COLORS[finding.verdict.value]
+        table.add_row(finding.name, f"[{color}]{finding.verdict.value}[/]", Text(_text(finding, "\n")))
+    Console().print(table)
+
+
+def _text(finding: Finding, between: str) -> str:
+    return between.join(filter(None, (finding.value, finding.advice)))
