@@ -147,9 +147,9 @@ def remove(name: str) -> Callable[[Path], None]:
     return lambda folder: (folder / name).unlink()
 
 
-def truncate_first(folder: Path) -> None:
-    path = min((folder / "depth").iterdir())
-    path.write_bytes(path.read_bytes()[:50])
+def truncate_all(folder: Path) -> None:
+    for path in (folder / "depth").iterdir():
+        path.write_bytes(path.read_bytes()[:50])
 
 
 def shrink_depth(folder: Path) -> None:
@@ -170,7 +170,7 @@ def late_depth(folder: Path) -> None:
         (remove("rgb.txt"), [], "has no rgb.txt"),
         (remove("calibration.txt"), [], "unknown intrinsics"),
         (late_depth, [], "the closest two are 59."),
-        (truncate_first, [], "truncated PNG"),
+        (truncate_all, [], "truncated PNG"),
         (shrink_depth, [], "expected depth of the colour image's size 64x48, got 32x24"),
         (None, ["--selection.points", "0"], "selection.points: expected a whole number at least 1, got 0"),
         (None, ["--depth-scale", "-5"], "depth_scale: expected a number above 0, got -5.0"),

@@ -12,7 +12,8 @@ import pytest
 import torch
 
 from idrgbdo_torch.datasets import open_sequence
-from idrgbdo_torch.datasets.calibration import Calibration, Undistortion, find_calibration
+from idrgbdo_torch.datasets.calibration import Calibration, find_calibration
+from idrgbdo_torch.datasets.rectify import Undistortion
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.frame import BrokenFrame, RgbdFrame
 
@@ -161,7 +162,7 @@ def test_distorted_images_become_pinhole_images() -> None:
     inner = np.s_[20:-20, 20:-20]
     assert np.abs(color[..., 0] - expected)[inner].max() < 3
     assert np.abs(distorted - expected)[inner].max() > 20  # so the distortion matters here
-    depth = distorted.astype(np.uint16) + np.uint16(1000)
+    depth = distorted.astype(np.float32) + 1000
     remapped = undistortion.depth(depth)
     assert set(np.unique(remapped)) <= {0, *np.unique(depth)}  # nearest neighbour invents nothing
     assert np.abs(remapped - 1000.0 - expected)[inner].max() < 6
@@ -205,11 +206,20 @@ def test_unknown_intrinsics(make_recording: Make) -> None:
 
 
 @pytest.mark.parametrize("kind", ["rgb", "depth"])
-def test_truncated_first_png_is_an_error(make_recording: Make, kind: str) -> None:
+def test_truncated_pngs_only_are_an_error(make_recording: Make, kind: str) -> None:
     folder = make_recording()
-    truncate(images(folder, kind)[0])
-    with pytest.raises(IdRgbdoError, match=r"\.png: truncated PNG"):
+    for path in images(folder, kind):
+        truncate(path)
+    with pytest.raises(IdRgbdoError, match=r"100\.\d+\.png: truncated PNG"):
         open_sequence(folder)
+
+
+def test_a_broken_first_frame_costs_that_frame(make_recording: Make) -> None:
+    folder = make_recording(frames=3)
+    truncate(images(folder, "rgb")[0])
+    sequence = open_sequence(folder)
+    assert sequence.camera.width == 64
+    assert [type(frame) for frame in sequence] == [BrokenFrame, RgbdFrame, RgbdFrame]
 
 
 def test_colour_and_depth_of_different_sizes(make_recording: Make) -> None:
@@ -221,7 +231,8 @@ def test_colour_and_depth_of_different_sizes(make_recording: Make) -> None:
 
 def test_colour_in_place_of_depth(make_recording: Make) -> None:
     folder = make_recording()
-    cv2.imwrite(str(images(folder, "depth")[0]), np.ones((48, 64, 3), np.uint8))
+    for path in images(folder, "depth"):
+        cv2.imwrite(str(path), np.ones((48, 64, 3), np.uint8))
     with pytest.raises(IdRgbdoError, match="expected a 16-bit depth image of one channel, got uint8 with 3"):
         open_sequence(folder)
 

@@ -9,17 +9,28 @@ from typing import Protocol
 from ..camera import Pinhole
 from ..frame import BrokenFrame, RgbdFrame
 from ..trajectory import Trajectory
-from .tum import TumSequence
+from .formats import FORMATS, guess, read_recording
+from .realsense import RealSenseRecording, is_realsense
+from .recording import Options, RecordedSequence
+
+__all__ = ["FORMATS", "RgbdSequence", "guess", "open_sequence"]
 
 
 class RgbdSequence(Protocol):
     """What every format offers: frames in the order of time, read lazily."""
 
     name: str
-    camera: Pinhole
-    timestamps: list[float]  # s
     groundtruth: Trajectory | None
+    timestamps: list[float]  # s
     warnings: list[str]  # sentences that a user should see
+
+    @property
+    def camera(self) -> Pinhole:
+        """The undistorted pinhole of all frames."""
+
+    @property
+    def recognised(self) -> str:
+        """What the recording was taken for, in one line."""
 
     def __len__(self) -> int: ...
 
@@ -32,22 +43,29 @@ class RgbdSequence(Protocol):
 def open_sequence(
     path: Path | str,
     *,
+    format: str | None = None,
     camera: Path | None = None,
     associations: Path | None = None,
     depth_scale: float | None = None,
     association_limit_s: float = 0.02,
+    color_topic: str | None = None,
+    depth_topic: str | None = None,
     start: int = 0,
     every: int = 1,
     max_frames: int | None = None,
 ) -> RgbdSequence:
-    """The sequence in a folder (today of the TUM layout). Raises IdRgbdoError where there is none; see TumSequence."""
-    return TumSequence(
-        Path(path),
-        camera=camera,
-        associations=associations,
-        depth_scale=depth_scale,
-        association_limit_s=association_limit_s,
-        start=start,
-        every=every,
-        max_frames=max_frames,
+    """The recording in a folder or file, of any of FORMATS; `recognised` tells which.
+
+    format: one of FORMATS; by default the one that the path looks like. camera: TOML with the intrinsics, see
+    find_calibration. depth_scale: values per metre, by default what the camera file says, else the format's usual.
+    associations: a list `timestamp colour timestamp depth` instead of pairing by time. association_limit_s: between
+    the two images of a frame. color_topic, depth_topic: of a ROS bag. start, every, max_frames: leave out the first
+    frames, take each n-th of the others, stop after so many.
+    Raises IdRgbdoError, saying what is missing, for anything that cannot be read.
+    """
+    options = Options(
+        camera, associations, depth_scale, association_limit_s, color_topic, depth_topic, start, every, max_frames
     )
+    if format is None and is_realsense(Path(path)):
+        return RealSenseRecording(Path(path), options)
+    return RecordedSequence(read_recording(Path(path), options, format), options)

@@ -20,33 +20,62 @@ JPEG_TAIL = 1024  # bytes in which the end marker must stand; some cameras pad
 
 def read_color(path: Path) -> NDArray[np.uint8]:
     """(H, W, 3) uint8 in OpenCV's order blue, green, red. Raises IdRgbdoError for a file that is not a whole image."""
-    image = _decode(path, cv2.IMREAD_COLOR_BGR | cv2.IMREAD_IGNORE_ORIENTATION)
+    return decode_color(_bytes(path), str(path))
+
+
+def read_depth(path: Path) -> NDArray[Any]:
+    """(H, W) raw depth: uint16 of an image, float32 metres of an image of floats or a .npy file.
+
+    Raises IdRgbdoError for a file that is damaged or something else.
+    """
+    return _read_npy(path) if path.suffix == ".npy" else decode_depth(_bytes(path), str(path))
+
+
+def decode_color(data: bytes, where: str) -> NDArray[np.uint8]:
+    """An encoded colour image as in `read_color`; `where` leads the messages."""
+    image = _decode(data, where, cv2.IMREAD_COLOR_BGR | cv2.IMREAD_IGNORE_ORIENTATION)
     return image.astype(np.uint8, copy=False)
 
 
-def read_depth(path: Path) -> NDArray[np.uint16]:
-    """(H, W) uint16 raw depth. Raises IdRgbdoError for a file that is not a whole 16-bit image of one channel."""
-    image = _decode(path, cv2.IMREAD_UNCHANGED)
-    if image.dtype != np.uint16 or image.ndim != 2:
-        channels = 1 if image.ndim == 2 else image.shape[2]
-        raise IdRgbdoError(
-            f"{path}: expected a 16-bit depth image of one channel, got {image.dtype} with {channels}; "
-            "check that colour and depth are not mixed up"
-        )
-    return image.astype(np.uint16, copy=False)
+def decode_depth(data: bytes, where: str) -> NDArray[Any]:
+    """An encoded depth image as in `read_depth`; `where` leads the messages."""
+    return _depth(_decode(data, where, cv2.IMREAD_UNCHANGED), where)
 
 
-def _decode(path: Path, flags: int) -> NDArray[Any]:
+def _read_npy(path: Path) -> NDArray[Any]:
     try:
-        data = path.read_bytes()
+        array = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise IdRgbdoError(f"{path}: cannot read the depth ({error}); write it again with numpy.save") from error
+    return _depth(array, str(path))
+
+
+def _depth(image: NDArray[Any], where: str) -> NDArray[Any]:
+    if image.ndim == 2 and image.dtype == np.uint16:
+        return image
+    if image.ndim == 2 and image.dtype in (np.float32, np.float64):
+        return image.astype(np.float32, copy=False)
+    channels = 1 if image.ndim == 2 else image.shape[-1]
+    raise IdRgbdoError(
+        f"{where}: expected a 16-bit depth image of one channel, got {image.dtype} with {channels}; "
+        "check that colour and depth are not mixed up"
+    )
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
     except OSError as error:
         raise IdRgbdoError(f"{path}: cannot read the image ({error.strerror}); check the list that names it") from error
+
+
+def _decode(data: bytes, where: str, flags: int) -> NDArray[Any]:
     damage = _damage(data)
     if damage:
-        raise IdRgbdoError(f"{path}: {damage}; copy or download it again")
+        raise IdRgbdoError(f"{where}: {damage}; copy or download it again")
     image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     if image is None:
-        raise IdRgbdoError(f"{path}: expected an image that OpenCV can decode, got {len(data)} bytes; replace it")
+        raise IdRgbdoError(f"{where}: expected an image that OpenCV can decode, got {len(data)} bytes; replace it")
     return np.asarray(image)
 
 

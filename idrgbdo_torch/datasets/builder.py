@@ -1,0 +1,87 @@
+"""From a colour and a depth image to an RgbdFrame: sizes, undistortion, registration, metres, gray levels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..camera import Pinhole
+from ..errors import IdRgbdoError
+from ..frame import RgbdFrame
+from .calibration import Calibration
+from .rectify import Registration, Undistortion
+
+USUAL_DEPTH_SCALES = (5000.0, 1000.0, 6553.5)  # TUM, millimetres, Replica
+PLAUSIBLE_MEDIAN_M = (0.5, 4.5)  # of what a hand-held depth camera looks at
+SATURATED = 65535  # some cameras write it for "no depth"
+
+
+class FrameBuilder:
+    """Turns raw images of one camera into frames."""
+
+    def __init__(self, calibration: Calibration, color: NDArray[np.uint8], depth_scale: float) -> None:
+        """color: the first image, which tells the size. depth_scale: depth values per metre.
+
+        Raises IdRgbdoError for a calibration of another size.
+        """
+        self.camera: Pinhole = calibration.pinhole(color.shape[1], color.shape[0])
+        self.depth_scale = depth_scale
+        self._undistortion = Undistortion(calibration, self.camera) if any(calibration.distortion) else None
+        self._registration = Registration(calibration, self.camera) if calibration.depth.fx is not None else None
+
+    def frame(self, timestamp: float, color: NDArray[np.uint8], depth: NDArray[Any]) -> RgbdFrame:
+        """The frame of (H, W, 3) blue, green, red and (h, w) raw depth, uint16 or float32.
+
+        Raises IdRgbdoError for images of another size than the first.
+        """
+        size = (self.camera.height, self.camera.width)
+        if color.shape[:2] != size:
+            raise IdRgbdoError(f"image of shape {color.shape[:2]}, where the first has {size}; give all the same size")
+        if self._registration is None and depth.shape != size:
+            raise IdRgbdoError(
+                f"depth: expected depth of the colour image's size {size[1]}x{size[0]}, "
+                f"got {depth.shape[1]}x{depth.shape[0]}; "
+                "register the depth to the colour camera, or describe the depth camera in the camera file under [depth]"
+            )
+        depth_m = metres(depth, self.depth_scale)
+        if self._registration is not None:
+            depth_m = self._registration.depth(depth_m)
+        if self._undistortion is not None:
+            color = self._undistortion.color(color)
+            if self._registration is None:  # registered to the distorted colour image
+                depth_m = self._undistortion.depth(depth_m)
+        gray = cv2.cvtColor(color.astype(np.float32), cv2.COLOR_BGR2GRAY)  # ITU-R BT.601
+        return RgbdFrame(
+            timestamp=timestamp,
+            gray=torch.from_numpy(gray),  # (H, W)
+            depth=torch.from_numpy(depth_m),  # (H, W) m
+            camera=self.camera,
+            color=torch.from_numpy(cv2.cvtColor(color, cv2.COLOR_BGR2RGB)),  # (H, W, 3)
+        )
+
+
+def metres(depth: NDArray[Any], depth_scale: float) -> NDArray[np.float32]:
+    """(H, W) float32 metres, 0 where the raw depth is 0, saturated, negative or not finite."""
+    if depth.dtype == np.uint16:
+        return np.where(depth == SATURATED, np.float32(0), depth / np.float32(depth_scale))
+    scaled = depth.astype(np.float32) / np.float32(depth_scale)
+    return np.where(np.isfinite(scaled) & (scaled > 0), scaled, np.float32(0))
+
+
+def depth_warnings(depth: NDArray[Any], depth_scale: float) -> list[str]:
+    """A sentence for the user where a frame's raw depth cannot be right."""
+    depth_m = metres(depth, depth_scale)
+    valid = depth_m[depth_m > 0]
+    if len(valid) == 0:
+        return ["the first frame has no valid depth at all; check that the depth images are the right ones"]
+    median = float(np.median(valid))
+    low, high = PLAUSIBLE_MEDIAN_M
+    if low <= median <= high:
+        return []
+    likely = [f"{scale:g}" for scale in USUAL_DEPTH_SCALES if low <= median * depth_scale / scale <= high]
+    hint = f"--depth-scale {likely[0]} is likely right" if likely else "pass the right --depth-scale"
+    return [f"depth scale {depth_scale:g} makes the first frame's median depth {median:.3g} m; {hint}"]

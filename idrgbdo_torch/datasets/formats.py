@@ -1,0 +1,66 @@
+"""All formats, and which of them a folder or file is in."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import IdRgbdoError
+from . import folder, icl_nuim, redwood, replica, ros, scannet, seven_scenes, tum
+from .calibration import EXAMPLE
+from .recording import Options, Recording
+
+
+@dataclass(frozen=True)
+class Format:
+    """How a kind of recording is told from others and read."""
+
+    recognise: Callable[[Path], bool]
+    read: Callable[[Path, Options], Recording]
+    sign: str  # what it is recognised by
+
+
+# in the order in which they are tried: the peculiar ones first
+FORMATS = {
+    "ros": Format(ros.recognise, ros.read, "a .bag, .mcap or .db3 file, or a folder with metadata.yaml"),
+    "icl_nuim": Format(icl_nuim.recognise, icl_nuim.read, "scene_*.depth, or associations.txt with frame numbers"),
+    "tum": Format(tum.recognise, tum.read, "rgb.txt and depth.txt"),
+    "7scenes": Format(seven_scenes.recognise, seven_scenes.read, "frame-*.color.png"),
+    "scannet": Format(scannet.recognise, scannet.read, "intrinsic/intrinsic_color.txt"),
+    "replica": Format(replica.recognise, replica.read, "results/frame*.jpg"),
+    "redwood": Format(redwood.recognise, redwood.read, "color/, depth/ and an intrinsic matrix in JSON"),
+    "folder": Format(folder.recognise, folder.read, "rgb/ and depth/"),
+}
+
+
+def read_recording(path: Path, options: Options, name: str | None = None) -> Recording:
+    """The recording in a file or folder, of the named format or the one it looks like.
+
+    Raises IdRgbdoError for an unknown name, a path where nothing is, or one that looks like no format.
+    """
+    if name is not None and name not in FORMATS:
+        near = difflib.get_close_matches(name, FORMATS, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"the formats are {', '.join(FORMATS)}"
+        raise IdRgbdoError(f"format: no format '{name}'; {hint}")
+    if not path.exists():
+        raise IdRgbdoError(f"sequence: expected a folder at '{path}', found nothing; check the path")
+    if name is None:
+        name = "tum" if options.associations is not None else guess(path)
+    if name != "ros" and not path.is_dir():
+        raise IdRgbdoError(f"sequence: expected a folder at '{path}', found a file; check the path")
+    return FORMATS[name].read(path, options)
+
+
+def guess(path: Path) -> str:
+    """The name of the first format that recognises the path. Raises IdRgbdoError, saying what was looked for."""
+    for name, known in FORMATS.items():
+        if known.recognise(path):
+            return name
+    signs = "; ".join(f"{known.sign} ({name})" for name, known in FORMATS.items())
+    raise IdRgbdoError(
+        f"sequence: no known format in '{path}'; looked for {signs}. For images of your own, put colour into "
+        f"'{path / 'rgb'}', 16-bit depth of the same names into '{path / 'depth'}', and write '{path / 'camera.toml'}' "
+        f"with the lines {EXAMPLE}"
+    )

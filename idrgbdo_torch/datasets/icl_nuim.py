@@ -1,0 +1,126 @@
+"""ICL-NUIM as published, in either of its two forms.
+
+- "TUM RGB-D compatible PNGs": rgb/, depth/ (along the optical axis), associations.txt with frame numbers for times, and
+  poses in *.gt.freiburg, downloaded apart.
+- POV-Ray's own: scene_00_0000.png, .depth (text, centimetres along the ray), .txt (position and axes of the camera).
+
+Both have a camera whose y axis points up, which is why the published fy is negative. Poses here have it point down:
+T = M T_published M with M = diag(1, -1, 1, 1). Source: the README of ankurhanda/living_room_iclnuim.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import IdRgbdoError
+from ..trajectory import read_tum
+from .calibration import ICL_NUIM, Calibration, find_calibration
+from .images import read_color
+from .pairing import FPS, numbered, reader
+from .poses import Matrix, reference
+from .recording import Options, RawPair, Recording
+from .tum import DEPTH_SCALE, read_associations
+
+M = np.diag([1.0, -1.0, 1.0, 1.0])
+
+
+def recognise(path: Path) -> bool:
+    """Whether there are POV-Ray's depth files, or the numbered pairs of the PNGs without the lists of TUM's layout."""
+    if any(path.glob("scene_*.depth")):
+        return True
+    listed = path / "associations.txt"
+    if (path / "rgb.txt").exists() or not listed.is_file():
+        return False
+    first = listed.read_text(encoding="utf-8", errors="replace").split(maxsplit=2)
+    return any(path.glob("*.gt.freiburg")) or (len(first) > 1 and first[0].isdigit() and first[1].startswith("depth/"))
+
+
+def read(folder: Path, options: Options) -> Recording:
+    """Either form. Raises IdRgbdoError where files are missing or cannot be read."""
+    calibration = find_calibration(folder, options.camera, ICL_NUIM)
+    return _read_povray(folder, calibration) if any(folder.glob("scene_*.depth")) else _read_pngs(folder, calibration)
+
+
+def _read_pngs(folder: Path, calibration: Calibration) -> Recording:
+    frames = [(round(number), color, depth) for number, color, depth in read_associations(folder / "associations.txt")]
+    fps = calibration.fps or FPS
+    poses: dict[int, Matrix] = {}
+    for path in sorted(folder.glob("*.gt.freiburg"))[:1]:
+        truth = read_tum(path)
+        numbers = [round(time) for time in truth.timestamps.tolist()]
+        poses = {number: M @ T @ M for number, T in zip(numbers, truth.T_world_cam.numpy(), strict=True)}
+    return Recording(
+        name=folder.resolve().name,
+        title="ICL-NUIM, PNG files",
+        timestamps=[number / fps for number, _, _ in frames],
+        read=reader([(color, depth) for _, color, depth in frames]),
+        calibration=calibration,
+        depth_scale=DEPTH_SCALE,
+        groundtruth=reference({number: number / fps for number, _, _ in frames}, poses),
+    )
+
+
+def _read_povray(folder: Path, calibration: Calibration) -> Recording:
+    images = numbered(folder, r"^scene_(?:\d+_)?(\d+)\.png$")
+    fps = calibration.fps or FPS
+    if not images:
+        raise IdRgbdoError(
+            f"sequence: expected scene_*.png beside the .depth files of '{folder}', found none; add them"
+        )
+    files = list(images.values())
+    poses = {n: _pose(path.with_suffix(".txt")) for n, path in images.items() if path.with_suffix(".txt").exists()}
+
+    def read_pair(index: int) -> RawPair:
+        color = read_color(files[index])
+        height, width = color.shape[:2]
+        along_ray = _read_ray_depth(files[index].with_suffix(".depth"), height, width)
+        return color, along_ray / _ray_lengths(calibration, height, width)
+
+    return Recording(
+        name=folder.resolve().name,
+        title="ICL-NUIM, POV-Ray files",
+        timestamps=[number / fps for number in images],
+        read=read_pair,
+        calibration=calibration,
+        depth_scale=1.0,
+        groundtruth=reference({number: number / fps for number in images}, poses),
+    )
+
+
+def _read_ray_depth(path: Path, height: int, width: int) -> NDArray[np.float32]:
+    """(H, W) metres from the camera's centre to the surface."""
+    try:
+        numbers = np.array(path.read_bytes().split(), dtype=np.float32)
+    except (OSError, ValueError) as error:
+        raise IdRgbdoError(f"{path}: cannot read the depth ({error}); download it again") from error
+    if len(numbers) != height * width:
+        raise IdRgbdoError(f"{path}: expected {height * width} numbers, got {len(numbers)}; download it again")
+    return numbers.reshape(height, width) / np.float32(100)
+
+
+def _ray_lengths(calibration: Calibration, height: int, width: int) -> NDArray[np.float32]:
+    """(H, W) length of each pixel's ray up to depth 1."""
+    x = (np.arange(width) - calibration.cx) / calibration.fx
+    y = (np.arange(height) - calibration.cy) / calibration.fy
+    return np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2).astype(np.float32)
+
+
+def _pose(path: Path) -> Matrix:
+    """T_world_cam of the lines `cam_pos = [x, y, z]'` (centimetres), `cam_dir`, `cam_up`; NaN where one is missing."""
+    text = path.read_text(encoding="utf-8", errors="replace")
+    vectors = {}
+    for name, numbers in re.findall(r"(cam_pos|cam_dir|cam_up)\s*=\s*\[([^\]]*)\]", text):
+        fields = numbers.replace(",", " ").split()
+        vectors[name] = np.array([float(field) for field in fields]) if len(fields) == 3 else np.full(3, np.nan)
+    if len(vectors) < 3:
+        return np.full((4, 4), np.nan)
+    z = vectors["cam_dir"] / np.linalg.norm(vectors["cam_dir"])
+    x = np.cross(vectors["cam_up"], z)
+    x /= np.linalg.norm(x)
+    T = np.eye(4)
+    T[:3] = np.column_stack([x, np.cross(z, x), z, vectors["cam_pos"] / 100])
+    return np.asarray(M @ T @ M)

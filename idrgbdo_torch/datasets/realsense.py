@@ -1,0 +1,121 @@
+"""Recordings of a RealSense camera (.bag), played through Open3D's reader, which registers depth to colour."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ..camera import Pinhole
+from ..errors import IdRgbdoError
+from ..frame import BrokenFrame, RgbdFrame
+from ..open3d_loader import load_open3d
+from ..trajectory import Trajectory
+from .builder import FrameBuilder, depth_warnings
+from .open3d_images import calibration_of, raw_pair
+from .recording import Options
+
+INDEX_POSITION = b"index_pos="  # in the header of a bag: where its topics are listed
+
+
+def is_realsense(path: Path) -> bool:
+    """Whether a .bag has the topics of Intel's own recorder. Any other file is none."""
+    if path.suffix != ".bag" or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        head = file.read(4096)
+        at = head.find(INDEX_POSITION) + len(INDEX_POSITION)
+        if at < len(INDEX_POSITION) or len(head) < at + 8:
+            return False
+        file.seek(struct.unpack_from("<Q", head, at)[0])
+        return b"/device_0/sensor_0/" in file.read()
+
+
+class RealSenseRecording:
+    """Frames in the order in which they are played; only Open3D knows how many, so length and times are estimates.
+
+    `timestamps` holds the nominal times until a frame has been read, then its own. Going back is not possible.
+    """
+
+    groundtruth: Trajectory | None = None
+
+    def __init__(self, path: Path, options: Options, reader: Any = None) -> None:
+        """reader: an object like Open3D's RSBagReader, for tests. Raises IdRgbdoError for a file it cannot play."""
+        self._path = path
+        self._reader = load_open3d().t.io.RSBagReader() if reader is None else reader
+        if not self._reader.open(str(path)):
+            raise IdRgbdoError(f"{path}: expected a RealSense recording, Open3D cannot open it; record it again")
+        metadata = self._reader.metadata
+        total = max(1, round(metadata.stream_length_usec * 1e-6 * metadata.fps))
+        self._chosen = options.choose(total)
+        self._next = 0  # frame number that the reader gives next
+        self._read = 0  # chosen frames that were read
+        self.name = path.stem
+        self.timestamps = [index / metadata.fps for index in self._chosen]
+        calibration = calibration_of(metadata.intrinsics, options.camera)
+        first = self._skip_to(self._chosen[0])
+        if first is None:
+            raise IdRgbdoError(f"{path}: expected frames, the recording ends before the first; record it again")
+        self._waiting: tuple[float, Any] | None = first
+        color, depth = raw_pair(first[1])
+        scale = options.depth_scale or calibration.depth_scale or metadata.depth_scale
+        self._builder = FrameBuilder(calibration, color, scale)
+        self.warnings = depth_warnings(depth, scale)
+
+    @property
+    def camera(self) -> Pinhole:
+        """The undistorted pinhole of all frames."""
+        return self._builder.camera
+
+    @property
+    def recognised(self) -> str:
+        """What this was taken for, in one line."""
+        c = self.camera
+        return f"RealSense recording, played once: about {len(self)} frames of {c.width}x{c.height}"
+
+    def __len__(self) -> int:
+        return len(self._chosen)
+
+    def __iter__(self) -> Iterator[RgbdFrame | BrokenFrame]:
+        while (frame := self._advance()) is not None:
+            yield frame
+
+    def read(self, index: int) -> RgbdFrame | BrokenFrame:
+        """Frame number `index`, which must be the next one; a BrokenFrame after the end.
+
+        Raises IdRgbdoError for any other.
+        """
+        if index != self._read:
+            raise IdRgbdoError(
+                f"{self._path}: frames of a RealSense recording come in order, next is {self._read}, not {index}; "
+                "convert it to a folder first (Open3D: RGBDVideoReader.save_frames)"
+            )
+        frame = self._advance()
+        return frame if frame is not None else BrokenFrame(self.timestamps[index], "the recording has ended")
+
+    def _advance(self) -> RgbdFrame | BrokenFrame | None:
+        """The next chosen frame; None at the end."""
+        if self._read >= len(self._chosen):
+            return None
+        played = self._waiting or self._skip_to(self._chosen[self._read])
+        self._waiting = None
+        if played is None:
+            return None
+        timestamp, image = played
+        self.timestamps[self._read] = timestamp
+        self._read += 1
+        try:
+            return self._builder.frame(timestamp, *raw_pair(image))
+        except IdRgbdoError as error:
+            return BrokenFrame(timestamp, str(error))
+
+    def _skip_to(self, number: int) -> tuple[float, Any] | None:
+        """Time and image of frame `number`; None where the recording ends before."""
+        while True:
+            image = self._reader.next_frame()
+            if image.is_empty():
+                return None
+            self._next += 1
+            if self._next > number:
+                return self._reader.get_timestamp() * 1e-6, image

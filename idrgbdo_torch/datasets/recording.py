@@ -1,0 +1,131 @@
+"""What all formats share: which frames are taken, the camera, warnings, and broken files that cost one frame each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import Pinhole
+from ..errors import IdRgbdoError
+from ..frame import BrokenFrame, RgbdFrame
+from ..trajectory import Trajectory
+from .builder import FrameBuilder, depth_warnings
+from .calibration import Calibration
+
+LOOK_AT = 30  # frames that may be broken before the first good one
+
+RawPair = tuple[NDArray[np.uint8], NDArray[Any]]  # (H, W, 3) blue green red, (h, w) uint16 or float32 raw depth
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a user may say about reading a recording; see open_sequence."""
+
+    camera: Path | None = None
+    associations: Path | None = None
+    depth_scale: float | None = None
+    association_limit_s: float = 0.02
+    color_topic: str | None = None
+    depth_topic: str | None = None
+    start: int = 0
+    every: int = 1
+    max_frames: int | None = None
+
+    def __post_init__(self) -> None:
+        for name, value, least in (
+            ("start", self.start, 0),
+            ("every", self.every, 1),
+            ("max_frames", self.max_frames, 1),
+        ):
+            if value is not None and value < least:
+                raise IdRgbdoError(f"{name}: expected at least {least}, got {value}; change it")
+        if self.depth_scale is not None and not self.depth_scale > 0:
+            raise IdRgbdoError(
+                f"depth_scale: expected depth values per metre, above 0, got {self.depth_scale}; change it"
+            )
+
+    def choose(self, frames: int) -> range:
+        """The numbers of the chosen frames. Raises IdRgbdoError where none is left."""
+        chosen = range(frames)[self.start :: self.every][: self.max_frames]
+        if not chosen:
+            raise IdRgbdoError(f"start: expected less than the sequence's {frames} frames, got {self.start}; lower it")
+        return chosen
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a format finds out about a recording; the images are decoded when asked for."""
+
+    name: str
+    title: str  # what was recognised, for people
+    timestamps: Sequence[float]  # s, increasing, of all frames
+    read: Callable[[int], RawPair]  # the images of a frame; raises IdRgbdoError for a broken one
+    calibration: Calibration
+    depth_scale: float  # values per metre of uint16 depth, unless the user or the camera file says otherwise
+    groundtruth: Trajectory | None = None
+    warnings: tuple[str, ...] = ()
+
+
+class RecordedSequence:
+    """A recording as frames. Images are read when their turn comes, so memory does not grow with its length."""
+
+    def __init__(self, recording: Recording, options: Options) -> None:
+        """Choose the frames and read the first good one, which tells the image size.
+
+        Raises IdRgbdoError where no frame is left or the first ones cannot be read.
+        """
+        self._recording = recording
+        self._chosen = options.choose(len(recording.timestamps))
+        self.name = recording.name
+        self.timestamps = [recording.timestamps[index] for index in self._chosen]  # s, of the colour images
+        self.groundtruth: Trajectory | None = recording.groundtruth
+        color, depth = self._first_pair()
+        stated = options.depth_scale or recording.calibration.depth_scale
+        self.depth_scale = stated or (recording.depth_scale if depth.dtype == np.uint16 else 1.0)
+        self._builder = FrameBuilder(recording.calibration, color, self.depth_scale)
+        self._builder.frame(0.0, color, depth)  # colour and depth must fit each other
+        self.warnings = [*recording.warnings, *depth_warnings(depth, self.depth_scale)]
+
+    @property
+    def camera(self) -> Pinhole:
+        """The undistorted pinhole of all frames."""
+        return self._builder.camera
+
+    @property
+    def recognised(self) -> str:
+        """What this was taken for, in one line."""
+        c = self.camera
+        truth = "with ground truth" if self.groundtruth is not None else "no ground truth"
+        return (
+            f"{self._recording.title}: {len(self)} frames of {c.width}x{c.height}, "
+            f"{self.depth_scale:g} depth values per metre, {truth}"
+        )
+
+    def __len__(self) -> int:
+        return len(self._chosen)
+
+    def __iter__(self) -> Iterator[RgbdFrame | BrokenFrame]:
+        return (self.read(index) for index in range(len(self)))
+
+    def read(self, index: int) -> RgbdFrame | BrokenFrame:
+        """Frame number `index`; a BrokenFrame with the reason where a file is missing, damaged or of another size."""
+        timestamp = self.timestamps[index]
+        try:
+            return self._builder.frame(timestamp, *self._recording.read(self._chosen[index]))
+        except IdRgbdoError as error:
+            return BrokenFrame(timestamp, str(error))
+
+    def _first_pair(self) -> RawPair:
+        """The images of the first frame that can be read. Raises the first frame's error where none can."""
+        first_error: IdRgbdoError | None = None
+        for index in self._chosen[:LOOK_AT]:
+            try:
+                return self._recording.read(index)
+            except IdRgbdoError as error:
+                first_error = first_error or error
+        raise first_error or IdRgbdoError("sequence: expected frames, got none; check the recording")

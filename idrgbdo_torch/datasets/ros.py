@@ -1,0 +1,181 @@
+"""ROS 1 bags and ROS 2 bags (mcap, sqlite3), raw or compressed images, read with rosbags; no ROS is needed."""
+
+from __future__ import annotations
+
+import re
+import weakref
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import IdRgbdoError
+from .calibration import Calibration, find_calibration
+from .pairing import pair_by_time
+from .recording import Options, RawPair, Recording
+from .ros_images import color_image, depth_image
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+    from rosbags.interfaces import Connection
+
+DEPTH_SCALE = 1000.0  # REP 118
+IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+INFO_TYPE = "sensor_msgs/msg/CameraInfo"
+REGISTERED = re.compile(r"aligned_depth_to_color|depth_registered|depth_to_rgb|registered")
+NO_COLOR = re.compile(r"depth|infra|(^|[/_])ir([/_]|$)|mask|label|segment|disparity|normal|confidence", re.IGNORECASE)
+COLORFUL = re.compile(r"rgb|colou?r", re.IGNORECASE)
+
+Stamp = tuple[float, int]  # s of the header, ns at which it was recorded
+
+
+def recognise(path: Path) -> bool:
+    """Whether the file's or folder's name says so."""
+    return path.suffix in (".bag", ".mcap", ".db3") or (path / "metadata.yaml").is_file()
+
+
+def read(path: Path, options: Options) -> Recording:
+    """Choose the topics, pair their images by the times of their headers, and find the camera.
+
+    The whole recording is passed through once for the times. Raises IdRgbdoError without rosbags, or for a recording
+    that cannot be read or lacks a topic.
+    """
+    bag = _Bag(path)
+    color, depth = bag.topic("color", options.color_topic), bag.topic("depth", options.depth_topic)
+    frames = pair_by_time(bag.stamps(color), bag.stamps(depth), options.association_limit_s, path)
+
+    def read_pair(index: int) -> RawPair:
+        _, of_color, of_depth = frames[index]
+        where = f"{path}, frame {index}"
+        return (
+            color_image(bag.message(color, of_color), f"{where}, {color.topic}"),
+            depth_image(bag.message(depth, of_depth), f"{where}, {depth.topic}"),
+        )
+
+    return Recording(
+        name=path.stem if path.is_file() else path.resolve().name,
+        title=f"ROS {2 if bag.reader.is2 else 1} recording, {color.topic} and {depth.topic}",
+        timestamps=[time for time, _, _ in frames],
+        read=read_pair,
+        calibration=bag.calibration(color.topic) if options.camera is None else find_calibration(path, options.camera),
+        depth_scale=DEPTH_SCALE,
+        warnings=bag.frame_warnings(color, frames[0][1], depth, frames[0][2]) if options.camera is None else (),
+    )
+
+
+class _Bag:
+    """An open recording."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.reader = _open(path)
+        weakref.finalize(self, self.reader.close)
+
+    def topic(self, kind: str, name: str | None) -> Connection:
+        """The connection of the named topic, or of the likeliest for "color" or "depth". Raises IdRgbdoError."""
+        images = [c for c in self.reader.connections if c.msgtype in IMAGE_TYPES]
+        if name is not None:
+            found = [c for c in images if c.topic == name]
+        elif kind == "depth":
+            found = [c for c in images if "depth" in c.topic]
+            found.sort(key=lambda c: (not REGISTERED.search(c.topic), c.msgtype != IMAGE_TYPES[0], len(c.topic)))
+        else:
+            found = [c for c in images if not NO_COLOR.search(c.topic)]
+            found.sort(key=lambda c: (not COLORFUL.search(c.topic), c.msgtype != IMAGE_TYPES[0], len(c.topic)))
+        if not found:
+            wanted = f"the topic '{name}'" if name else f"a {kind} topic"
+            there = ", ".join(sorted({c.topic for c in images})) or "none"
+            raise IdRgbdoError(
+                f"{self._path}: expected {wanted} with images, found these: {there}; name one with --{kind}-topic"
+            )
+        return found[0]
+
+    def stamps(self, connection: Connection) -> list[tuple[float, Stamp]]:
+        """The images of a topic by the time of their headers, or by that of their recording where headers have none."""
+        found: dict[float, Stamp] = {}
+        for _, recorded, data in self.reader.messages([connection]):
+            stamp = self._stamp(self.reader.deserialize(data, connection.msgtype))
+            time = stamp if stamp > 0 else recorded / 1e9
+            found[time] = (stamp, recorded)
+        if not found:
+            raise IdRgbdoError(f"{self._path}: expected images in '{connection.topic}', got none; name another topic")
+        return sorted(found.items())
+
+    def message(self, connection: Connection, which: Stamp) -> Any:
+        """The message of that time."""
+        stamp, recorded = which
+        for _, _, data in self.reader.messages([connection], recorded, recorded + 1):
+            message = self.reader.deserialize(data, connection.msgtype)
+            if self._stamp(message) == stamp:
+                return message
+        raise IdRgbdoError(f"{self._path}: the image of {stamp:.6f} s is gone; was the file changed?")
+
+    def calibration(self, color_topic: str) -> Calibration:
+        """From the camera_info beside the colour topic. Raises IdRgbdoError without one."""
+        namespace = re.sub(r"/(compressed|compressedDepth)$", "", color_topic).rsplit("/", 1)[0]
+        infos = [c for c in self.reader.connections if c.msgtype == INFO_TYPE]
+        for connection in infos:
+            if connection.topic.rsplit("/", 1)[0] == namespace:
+                _, _, data = next(self.reader.messages([connection]))
+                message = self.reader.deserialize(data, INFO_TYPE)
+                return _calibration(message, "rect" in color_topic, f"{self._path}, {connection.topic}")
+        raise IdRgbdoError(
+            f"{self._path}: expected '{namespace}/camera_info', found {', '.join(c.topic for c in infos) or 'none'}; "
+            "pass --camera F.toml with fx, fy, cx, cy"
+        )
+
+    def frame_warnings(self, color: Connection, a: Stamp, depth: Connection, b: Stamp) -> tuple[str, ...]:
+        """A sentence where the two images say that they come from different cameras."""
+        of_color, of_depth = (self.message(c, s).header.frame_id for c, s in ((color, a), (depth, b)))
+        if of_color == of_depth or not of_color or not of_depth:
+            return ()
+        return (
+            f"colour is in the frame '{of_color}', depth in '{of_depth}': if depth is not registered to colour, name a "
+            "registered topic with --depth-topic, or describe the depth camera in a camera file under [depth]",
+        )
+
+    @staticmethod
+    def _stamp(message: Any) -> float:
+        stamp = message.header.stamp
+        return float(stamp.sec + stamp.nanosec * 1e-9)
+
+
+def _open(path: Path) -> AnyReader:
+    try:
+        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise IdRgbdoError(
+            f'{path}: reading ROS recordings needs rosbags ({error}); run `pip install "idrgbdo_torch[ros]"`'
+        ) from error
+    try:
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+    except (AnyReaderError, OSError, ValueError) as error:
+        raise IdRgbdoError(f"{path}: cannot read this as a ROS recording: {error}; check or record it again") from error
+    return reader
+
+
+def _calibration(info: Any, rectified: bool, where: str) -> Calibration:
+    """Intrinsics of a CameraInfo, whose fields ROS 1 writes in capitals and ROS 2 does not."""
+    K, D, P = (_field(info, name) for name in "KDP")
+    if rectified:
+        camera = Calibration(P[0], P[5], P[2], P[6])
+    else:
+        if any(D[5:]) or (any(D) and info.distortion_model not in ("plumb_bob", "rational_polynomial")):
+            raise IdRgbdoError(
+                f"{where}: expected the distortion model plumb_bob, got {info.distortion_model}; use rectified images, "
+                "or pass --camera F.toml with k1, k2, p1, p2, k3"
+            )
+        k1, k2, p1, p2, k3 = [*D, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
+        camera = Calibration(K[0], K[4], K[2], K[5], k1, k2, p1, p2, k3)
+    if not (camera.fx > 0 and camera.fy > 0):
+        raise IdRgbdoError(f"{where}: expected a calibrated camera, got fx={camera.fx:g}; pass --camera F.toml")
+    return replace(camera, width=info.width or None, height=info.height or None)
+
+
+def _field(info: Any, name: str) -> Sequence[float]:
+    values = getattr(info, name) if hasattr(info, name) else getattr(info, name.lower())
+    return [float(value) for value in np.asarray(values).ravel()]
