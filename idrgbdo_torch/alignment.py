@@ -7,24 +7,19 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.nn.functional import conv2d, pad
+from torch.nn.functional import pad
 
 from .batched import (
-    PIXELS,
-    TRACKING_PATTERN,
-    HostPoints,
     NormalEquations,
     ResidualNoise,
     Target,
     linearise_pairs,
     residual_noise,
     robust_scale,
-    sample_patterns,
 )
 from .camera import Pinhole
 from .errors import IdRgbdoError
-from .frame import COARSE_BLUR
-from .image import pyramid
+from .host_points import PIXELS, HostPoints, tracking_pyramid
 from .se3 import inverse, log, retract
 from .solver import solve
 
@@ -77,33 +72,6 @@ class AlignedPairs:
     kept: Tensor  # (B, N) bool, points that took part
     iterations: Tensor  # (B,)
     ok: Tensor  # (B,) bool: everything finite, and enough points for six degrees of freedom
-
-
-def host_points(
-    gray: Tensor, uv: Tensor, inverse_depth: Tensor, *, sigma: float | Tensor | None = None,
-    weight: Tensor | None = None, levels: int = len(STEPS),
-) -> HostPoints:  # fmt: skip
-    """Points uv (B, N, 2) px of keyframes gray (B, H, W) in levels 0..255 at inverse depth (B, N) in 1/m, 0 for none.
-
-    sigma: of the inverse depths, 1/m, a number or (B, N); a Kinect's by default. weight: (B, N) or (B, N, 8), a factor
-    above 0 on the information of a point or of its pixels, for example one that is learnt.
-    """
-    if gray.ndim != 3 or uv.shape != (*inverse_depth.shape, 2) or uv.shape[0] != gray.shape[0]:
-        raise IdRgbdoError(
-            f"host_points: expected gray (B, H, W), uv (B, N, 2), inverse_depth (B, N), got {tuple(gray.shape)}, "
-            f"{tuple(uv.shape)}, {tuple(inverse_depth.shape)}; pad shorter pairs with an inverse depth of 0"
-        )
-    default = residual_noise().sigma_depth
-    spread = torch.as_tensor(default if sigma is None else sigma, dtype=uv.dtype)
-    patches, gradients = sample_patterns(tracking_pyramid(gray, levels), uv, TRACKING_PATTERN)
-    variance = spread.square().expand_as(inverse_depth)
-    return HostPoints(uv, inverse_depth, variance, tuple(patches), tuple(gradients), weight)
-
-
-def tracking_pyramid(gray: Tensor, levels: int) -> tuple[Tensor, ...]:
-    """Halvings of gray (B, H, W), finest first, the coarse ones blurred so that texture does not alias there."""
-    images = pyramid(gray, levels)
-    return (images[0], *(_blurred(image) for image in images[1:]))
 
 
 def align_pairs(
@@ -241,14 +209,3 @@ def brightness_information(H: Tensor, information: Tensor) -> Tensor:
     out = 0.5 * (out + out.mT)
     positive = (out[:, 0, 0] > 0) & (torch.linalg.det(out) > 0) & columns[0].ok & columns[1].ok
     return torch.where(positive[:, None, None], out, 0.0)
-
-
-def _blurred(image: Tensor) -> Tensor:
-    """A 5x5 Gaussian of COARSE_BLUR px, reflected at the border; image (B, H, W)."""
-    at = torch.arange(-2, 3, dtype=image.dtype)
-    kernel = torch.exp(-0.5 * (at / COARSE_BLUR) ** 2)
-    kernel = kernel / kernel.sum()
-    padded = pad(image[:, None], (2, 2, 2, 2), mode="reflect")
-    rows = conv2d(padded, kernel[None, None, None, :])
-    blurred: Tensor = conv2d(rows, kernel[None, None, :, None])[:, 0]
-    return blurred

@@ -7,7 +7,6 @@ fewer than N points: an inverse depth of 0 is no point.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -16,8 +15,8 @@ from torch import Tensor
 
 from .camera import Pinhole
 from .config import NoiseConfig
-from .image import sample_surface, sample_with_gradient
-from .kernels.model import PATTERN_U, PATTERN_V
+from .host_points import PIXELS, TRACKING_PATTERN, HostPoints, at_level
+from .image import sample_surface
 from .photometric import (
     PATTERN_1,
     Warp,
@@ -31,8 +30,6 @@ from .photometric import (
 )
 from .solver import huber_weight, normal_equations, robust_cost
 
-TRACKING_PATTERN = torch.stack([torch.from_numpy(PATTERN_U), torch.from_numpy(PATTERN_V)], dim=-1)  # (8, 2) px
-PIXELS = len(TRACKING_PATTERN)
 OTHER_SURFACE = 6.0  # times the Huber threshold: a depth this far off belongs to something else
 
 
@@ -73,18 +70,6 @@ def residual_noise(config: NoiseConfig | None = None) -> ResidualNoise:
 
 
 @dataclass(frozen=True)
-class HostPoints:
-    """N points of each of B keyframes, with what the keyframes show there on every pyramid level."""
-
-    uv: Tensor  # (B, N, 2) px, level 0
-    inverse_depth: Tensor  # (B, N) 1/m; 0 is no point
-    variance: Tensor  # (B, N) (1/m)^2 of it
-    patch: tuple[Tensor, ...]  # a level: (B, N, P) gray levels
-    gradient: tuple[Tensor, ...]  # a level: (B, N, P, 2) gray levels per px
-    weight: Tensor | None = None  # (B, N) or (B, N, P) factor on the information, above 0; 1 if None
-
-
-@dataclass(frozen=True)
 class Target:
     """What the points are held against: one pyramid level of B images, and the depth of level 0."""
 
@@ -108,26 +93,6 @@ class NormalEquations:
     def seen(self) -> Tensor:
         """(B, N) bool."""
         return self.rms >= 0
-
-
-def sample_patterns(images: Sequence[Tensor], uv: Tensor, pattern: Tensor) -> tuple[list[Tensor], list[Tensor]]:
-    """Intensities (*B, N, P) and gradients (*B, N, P, 2) of pyramid images (*B, H, W) around level-0 pixels (*B, N, 2).
-
-    Clamped near the border: coarse levels have less room, and a clamped pixel is still a fair guess.
-    """
-    patches, gradients = [], []
-    for level, image in enumerate(images):
-        last = torch.tensor([image.shape[-1] - 2.001, image.shape[-2] - 2.001], dtype=uv.dtype)
-        at = (at_level(uv, level)[..., None, :] + pattern.to(uv)).clamp(min=1.0).minimum(last)
-        intensity, gradient, _ = sample_with_gradient(image, at)
-        patches.append(intensity)
-        gradients.append(gradient)
-    return patches, gradients
-
-
-def at_level(uv: Tensor, level: int) -> Tensor:
-    """Pixels (..., 2) of level 0 on a pyramid level."""
-    return (uv + 0.5) * 0.5**level - 0.5
 
 
 def gradient_in_target(camera: Pinhole, gradient: Tensor, inverse_depth: Tensor, warped: Warp, T: Tensor) -> Tensor:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..batched import OTHER_SURFACE, TRACKING_PATTERN, gradient_in_target
+from ..batched import OTHER_SURFACE, gradient_in_target
+from ..host_points import TRACKING_PATTERN
 from ..image import sample_surface
 from ..kernels.bundle import WindowPoints
 from ..kernels.model import Noise

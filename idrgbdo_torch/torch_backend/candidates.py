@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, pad
 
-from ..batched import TRACKING_PATTERN, sample_patterns
+from ..host_points import TRACKING_PATTERN, sample_patterns
 from ..image import gradient as image_gradient
 from ..solver import solve
 from .convert import Array

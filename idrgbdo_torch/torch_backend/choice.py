@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..batched import TRACKING_PATTERN, at_level
 from ..camera import Pinhole, inside
+from ..host_points import at_level
 from ..image import sample_surface, sample_with_gradient
 from ..kernels.choice import GRADIENT_NOISE
 from ..kernels.model import Noise, Points
@@ -88,6 +88,3 @@ def _factor(G: Tensor) -> Tensor:
     L10 = torch.where(L00 > 0, G[..., 0, 1] / torch.where(L00 > 0, L00, 1.0), 0.0)
     L11 = (G[..., 1, 1] - L10.square()).clamp(min=0).sqrt()
     return torch.stack([L00, torch.zeros_like(L00), L10, L11], dim=-1).reshape(*G.shape)
-
-
-PIXELS = len(TRACKING_PATTERN)

@@ -9,8 +9,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..batched import HostPoints, ResidualNoise
+from ..batched import ResidualNoise
 from ..camera import Pinhole
+from ..host_points import HostPoints
 from ..kernels.model import Noise, Points
 
 Array = NDArray[Any]
