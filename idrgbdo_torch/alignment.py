@@ -19,7 +19,7 @@ from .batched import (
 )
 from .camera import Pinhole
 from .errors import IdRgbdoError
-from .host_points import PIXELS, HostPoints, tracking_pyramid
+from .points import PIXELS, HostPoints, tracking_pyramid
 from .se3 import inverse, log, retract
 from .solver import solve
 

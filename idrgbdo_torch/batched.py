@@ -15,7 +15,6 @@ from torch import Tensor
 
 from .camera import Pinhole
 from .config import NoiseConfig
-from .host_points import PIXELS, TRACKING_PATTERN, HostPoints, at_level
 from .image import sample_surface
 from .photometric import (
     PATTERN_1,
@@ -28,6 +27,7 @@ from .photometric import (
     residual_variance,
     warp,
 )
+from .points import PIXELS, TRACKING_PATTERN, HostPoints, at_level
 from .solver import huber_weight, normal_equations, robust_cost
 
 OTHER_SURFACE = 6.0  # times the Huber threshold: a depth this far off belongs to something else

@@ -19,19 +19,19 @@ FLOORS = (
     {"se3", "camera", "image", "information", "solver", "kernels", "configfile", "open3d_loader"},  # mathematics
     {"frame", "trajectory", "config"},  # things
     {"odometry", "methods"},
-    {"photometric", "host_points"},  # measurement
+    {"photometric", "points"},  # measurement
     {"batched"},
     {"alignment"},
     {"torch_backend"},
     {"selection", "tracking", "keyframe", "marginalization"},  # decisions
-    {"candidates", "window", "mapping"},
+    {"candidates", "window", "mapping", "informative"},
     {"id_rgbdo"},  # system
     {"datasets", "synthetic", "evaluation", "figures", "download"},  # world
     {"runfolder"},
     {"comparison", "check"},
     {"report"},
     {"experiments", "terminal"},  # doors
-    {"commands", "compare_command", "download_command"},
+    {"commands", "compare_command", "download_command", "experiment_command"},
     {"check_command", "doctor_command"},
     {"cli"},
     {"__main__", "__init__"},

@@ -16,8 +16,8 @@ from idrgbdo_torch.alignment import AlignedPairs, align_pairs
 from idrgbdo_torch.batched import Target, gradient_in_target, linearise_pairs, residual_noise
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.frame import prepare
-from idrgbdo_torch.host_points import TRACKING_PATTERN, HostPoints, host_points, pick_points, tracking_pyramid
 from idrgbdo_torch.photometric import warp
+from idrgbdo_torch.points import TRACKING_PATTERN, HostPoints, host_points, pick_points, tracking_pyramid
 
 EYE = torch.eye(4, dtype=torch.float64)
 LEARNT = 3.0  # gray levels, noise of the keyframes' patches in Planes

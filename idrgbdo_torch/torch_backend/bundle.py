@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 
 from ..batched import OTHER_SURFACE, gradient_in_target
-from ..host_points import TRACKING_PATTERN
 from ..image import sample_surface
 from ..kernels.bundle import WindowPoints
 from ..kernels.model import Noise
@@ -20,6 +19,7 @@ from ..photometric import (
     residual_variance,
     warp,
 )
+from ..points import TRACKING_PATTERN
 from ..se3 import adjoint, inverse
 from ..solver import huber_weight, robust_cost
 from .convert import Array, pinhole, residual_noise

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, pad
 
-from ..host_points import TRACKING_PATTERN, sample_patterns
 from ..image import gradient as image_gradient
+from ..points import TRACKING_PATTERN, sample_patterns
 from ..solver import solve
 from .convert import Array
 

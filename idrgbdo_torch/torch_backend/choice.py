@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from ..camera import Pinhole, inside
-from ..host_points import at_level
 from ..image import sample_surface, sample_with_gradient
 from ..kernels.choice import GRADIENT_NOISE
 from ..kernels.model import Noise, Points
@@ -24,6 +23,7 @@ from ..photometric import (
     residual_variance,
     warp,
 )
+from ..points import at_level
 from .convert import Array, chosen, inverse_of_depth, pinhole, residual_noise
 
 

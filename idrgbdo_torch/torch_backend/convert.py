@@ -11,8 +11,8 @@ from torch import Tensor
 
 from ..batched import ResidualNoise
 from ..camera import Pinhole
-from ..host_points import HostPoints
 from ..kernels.model import Noise, Points
+from ..points import HostPoints
 
 Array = NDArray[Any]
 
