@@ -18,6 +18,7 @@ from .compare_command import CompareCommand, compare
 from .config import Config
 from .download_command import DownloadCommand, download
 from .errors import IdRgbdoError
+from .experiment_command import ExperimentCommand, experiment
 from .synthetic.config import SynthConfig
 
 DESCRIPTION = """RGB-D odometry from a handful of informative points: a pose per frame, a map, and how certain they are.
@@ -87,7 +88,7 @@ class DemoCommand:
     out: Path | None = None  # folder for the results; else runs/demo/<time>
 
 
-Command = RunCommand | CheckCommand | EvaluateCommand | SynthCommand | DemoCommand | CompareCommand | DownloadCommand
+Command = RunCommand | CheckCommand | EvaluateCommand | SynthCommand | DemoCommand | CompareCommand | DownloadCommand | ExperimentCommand
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -98,6 +99,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return compare(command)
         if isinstance(command, DownloadCommand):
             return download(command)
+        if isinstance(command, ExperimentCommand):
+            return experiment(command)
         if isinstance(command, CheckCommand):
             return check(command)
         from . import commands
@@ -132,6 +135,7 @@ def parse(argv: list[str]) -> Command:
         | Annotated[DemoCommand, subcommand("demo", default=DemoCommand(settings))]
         | Annotated[CompareCommand, subcommand("compare")]
         | Annotated[DownloadCommand, subcommand("download")]
+        | Annotated[ExperimentCommand, subcommand("experiment")]
     )
     arguments = [re.sub(r"^(--[\w.-]+=)?(true|false)$", _capitalised, argument) for argument in argv] or ["--help"]
     command: Command = tyro.cli(commands, prog="idrgbdo", description=DESCRIPTION, args=arguments)
