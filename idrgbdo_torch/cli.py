@@ -23,7 +23,7 @@ from .synthetic.config import SynthConfig
 
 DESCRIPTION = """RGB-D odometry from a handful of informative points: a pose per frame, a map, and how certain they are.
 
-First look: `idrgbdo demo`. A recording in the TUM layout: `idrgbdo run FOLDER`."""
+First look: `idrgbdo demo`. A recording: `idrgbdo run FOLDER`."""
 
 Settings = Annotated[Config, arg(name=""), FlagConversionOff]
 
@@ -32,10 +32,13 @@ Settings = Annotated[Config, arg(name=""), FlagConversionOff]
 class Input:
     """How the recording is read."""
 
-    camera: Path | None = None  # TOML with fx, fy, cx, cy [k1 k2 p1 p2 k3]; else calibration.txt, else TUM's by name
+    format: str | None = None  # tum, icl_nuim, 7scenes, redwood, replica, scannet, ros, folder; else it is recognised
+    camera: Path | None = None  # TOML with fx, fy, cx, cy [k1 k2 p1 p2 k3 depth_scale]; else what the recording says
     associations: Path | None = None  # list `timestamp colour timestamp depth`; else images are paired by time
     association_limit: configfile.NonNegative = 0.02  # s, between the two images of a pair
-    depth_scale: configfile.Positive | None = None  # depth values per metre; 5000 if the camera file does not say
+    depth_scale: configfile.Positive | None = None  # depth values per metre; else the camera file's or the format's
+    color_topic: str | None = None  # of a ROS recording; else the likeliest
+    depth_topic: str | None = None  # the same; choose one that is registered to colour
     start: configfile.Index = 0  # frames left out at the beginning
     every: configfile.Count = 1  # take every n-th frame
     max_frames: configfile.Count | None = None  # stop after so many
@@ -45,7 +48,7 @@ class Input:
 class RunCommand:
     """Track a recording and write trajectory, map and certainty into a folder."""
 
-    sequence: Positional[Path]  # folder with rgb.txt and depth.txt, as TUM publishes them
+    sequence: Positional[Path]  # folder or bag; see docs/data.md for what is recognised
     settings: Settings = field(default_factory=Config)
     input: Annotated[Input, arg(name="")] = field(default_factory=Input)
     config: Path | None = None  # TOML; its values are the defaults of the flags

@@ -36,6 +36,7 @@ INTERRUPTED = 128 + signal.SIGINT
 def run(command: RunCommand) -> int:
     """Track a recording."""
     sequence = open_input(command.sequence, command.input)
+    print("reading", sequence.recognised, flush=True)
     return _track(sequence, sequence.name, command.settings, command.out, command.figures)
 
 
@@ -43,10 +44,13 @@ def open_input(path: Path, options: Input) -> datasets.RgbdSequence:
     """The recording at a path, read as the options say."""
     return datasets.open_sequence(
         path,
+        format=options.format,
         camera=options.camera,
         associations=options.associations,
         depth_scale=options.depth_scale,
         association_limit_s=options.association_limit,
+        color_topic=options.color_topic,
+        depth_topic=options.depth_topic,
         start=options.start,
         every=options.every,
         max_frames=options.max_frames,
