@@ -38,8 +38,9 @@ def pair_by_time(
 
 
 def images(folder: Path) -> list[Path]:
-    """The image files of a folder, by name."""
-    return sorted(p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith("."))
+    """The image files of a folder, by name; none where there is no folder."""
+    files = folder.iterdir() if folder.is_dir() else ()
+    return sorted(p for p in files if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith("."))
 
 
 def numbered(folder: Path, pattern: str = r"(\d+)\D*\.\w+$") -> dict[int, Path]:

@@ -44,15 +44,16 @@ class Registration:
 
     def __init__(self, calibration: Calibration, camera: Pinhole) -> None:
         depth = calibration.depth
-        self._T_color_depth = calibration.T_color_depth()
-        self._size = (camera.width, camera.height)
-        self._K_color = camera.matrix().numpy()
+        T_color_depth = calibration.T_color_depth()
+        self._camera = camera
         self._K_depth = np.array([[depth.fx, 0, depth.cx], [0, depth.fy, depth.cy], [0, 0, 1]], dtype=np.float64)
-        ratio = max(self._K_color[0, 0] / self._K_depth[0, 0], self._K_color[1, 1] / self._K_depth[1, 1])
-        self._enlarge = math.ceil(ratio - 1e-6)
-        self._same_place = np.allclose(self._T_color_depth, np.eye(4), atol=1e-9)
+        self._R, self._t = T_color_depth[:3, :3], T_color_depth[:3, 3].astype(np.float32)
+        self._same_place = np.allclose(T_color_depth, np.eye(4), atol=1e-9)
+        K_color = camera.matrix().numpy()
+        self._enlarge = max(math.ceil(K_color[k, k] / self._K_depth[k, k] - 1e-6) for k in (0, 1))
+        self._turned: Image32 | None = None  # made when the depth image's size is known
         v, u = np.indices((camera.height, camera.width))
-        H = self._K_depth @ np.linalg.inv(self._K_color)
+        H = self._K_depth @ np.linalg.inv(K_color)
         self._map_u = (H[0, 0] * u + H[0, 2]).astype(np.float32)
         self._map_v = (H[1, 1] * v + H[1, 2]).astype(np.float32)
 
@@ -60,10 +61,22 @@ class Registration:
         """(H, W) metres in the colour camera, 0 where unknown, of any size of depth image in metres."""
         if self._same_place:
             return np.asarray(cv2.remap(image, self._map_u, self._map_v, cv2.INTER_NEAREST), dtype=np.float32)
-        k = self._enlarge
-        larger = image.repeat(k, axis=0).repeat(k, axis=1)
-        K = self._K_depth * np.array([[k], [k], [1]])
-        K[:2, 2] += (k - 1) / 2  # a pixel's centre: (c + 0.5) k - 0.5
-        unknown = np.where(larger > 0, larger, np.float32(np.nan))
-        registered = cv2.registerDepth(K, self._K_color, np.zeros(0), self._T_color_depth, unknown, self._size)
-        return np.nan_to_num(np.asarray(registered, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+        larger = image.repeat(self._enlarge, axis=0).repeat(self._enlarge, axis=1)
+        c = self._camera
+        x, y, z = self._rays(larger.shape) * larger + self._t[:, None, None]  # (3, h, w) m, in the colour camera
+        seen = (larger > 0) & (z > 0)
+        x, y, z = x[seen], y[seen], z[seen]
+        u, v = np.rint(c.fx * x / z + c.cx), np.rint(c.fy * y / z + c.cy)
+        inside = (u >= 0) & (u < c.width) & (v >= 0) & (v < c.height)
+        nearest = np.full(c.height * c.width, np.inf, np.float32)
+        np.minimum.at(nearest, (v[inside] * c.width + u[inside]).astype(np.int64), z[inside])
+        return np.where(np.isfinite(nearest), nearest, np.float32(0)).reshape(c.height, c.width)
+
+    def _rays(self, shape: tuple[int, int]) -> Image32:
+        """(3, h, w) points at depth 1 of the depth camera, enlarged to (h, w) pixels, turned as the colour camera."""
+        if self._turned is None or self._turned.shape[1:] != shape:
+            v, u = (np.indices(shape) + 0.5) / self._enlarge - 0.5  # a pixel's centre: (c + 0.5) k - 0.5
+            pixels = np.stack([u, v, np.ones(shape)])
+            turned = np.einsum("ij,jhw->ihw", self._R @ np.linalg.inv(self._K_depth), pixels)
+            self._turned = turned.astype(np.float32)
+        return self._turned
