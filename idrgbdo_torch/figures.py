@@ -64,11 +64,13 @@ def draw_frames(
 
 
 def draw_points(
-    frame: RgbdFrame, uv: Tensor, bits: Tensor, candidates: Tensor | None = None, caption: str = ""
-) -> Picture:
+    frame: RgbdFrame, uv: Tensor, bits: Tensor, candidates: Tensor | None = None, caption: str = "",
+    most: float | None = None,
+) -> Picture:  # fmt: skip
     """A frame with its chosen points, uv (N, 2) px, coloured by what each is worth, bits (N,); candidates (M, 2) small.
 
-    The image is darkened under the points; a scale tells the colours, a caption stands above.
+    The image is darkened under the points; a scale tells the colours, a caption stands above. most: the bits of the
+    brightest colour, else the largest there are.
     """
     base = frame.gray[..., None].expand(-1, -1, 3) if frame.color is None else frame.color.float()
     zoom = max(1, round(SIDE / frame.camera.width))
@@ -77,8 +79,9 @@ def draw_points(
     small = np.zeros((0, 2)) if candidates is None else candidates.numpy()
     for place in (small + 0.5) * zoom - 0.5:
         _disc(image, place, 1.5, WHITE)
-    most = max(float(bits.max()), 1e-9) if len(bits) else 1.0
-    colors = _colors(bits.numpy() / most)
+    if most is None:
+        most = max(float(bits.max()), 1e-9) if len(bits) else 1.0
+    colors = information_colors(bits.numpy() / most)
     for number in np.argsort(bits.numpy()):  # the best on top
         place = (uv[number].numpy() + 0.5) * zoom - 0.5
         _disc(image, place, 7.5, (0, 0, 0))
@@ -175,8 +178,8 @@ def _blank(height: int, width: int) -> Picture:
     return np.full((height, width, 3), 255, dtype=np.uint8)
 
 
-def _colors(share: NDArray[Any]) -> list[Color]:
-    """Dark blue over green to yellow for 0 to 1."""
+def information_colors(share: NDArray[Any]) -> list[Color]:
+    """What a point is worth as a colour: dark blue over green to yellow for shares (N,) from 0 to 1."""
     levels = (255 * np.clip(share, 0, 1)).round().astype(np.uint8).reshape(-1, 1)
     if len(levels) == 0:
         return []
@@ -203,7 +206,7 @@ def _write(image: Picture, text: str, where: tuple[int, int]) -> None:
 def _scale(area: Picture, most: float) -> None:
     """A bar of the colours with bits beside it."""
     top, bottom = 40, min(area.shape[0] - 20, 300)
-    for v, color in zip(range(bottom, top, -1), _colors(np.linspace(0, 1, bottom - top)), strict=True):
+    for v, color in zip(range(bottom, top, -1), information_colors(np.linspace(0, 1, bottom - top)), strict=True):
         area[v, 12:28] = color
     _write(area, "bits", (12, 24))
     for share in (0.0, 0.5, 1.0):
