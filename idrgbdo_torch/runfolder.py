@@ -13,10 +13,12 @@ from typing import IO, Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from .errors import IdRgbdoError
 from .evaluation import Evaluation, Measurement
+from .mapping import Cloud, world_cloud, write_ply
 from .odometry import Odometry, Record, Run, Status
 from .trajectory import TUM_HEADER, Trajectory, nearest, tum_line, write_tum
 
@@ -33,10 +35,10 @@ OWN_FILES = ("trajectory.txt", "trajectory_refined.txt", "keyframes.txt", "frame
 
 @runtime_checkable
 class HasMap(Protocol):
-    """An odometry that offers a map."""
+    """An odometry that keeps a map: a cloud for each keyframe, and where the keyframes are."""
 
-    def map_points(self) -> tuple[Tensor, Tensor]:
-        """(N, 3) points in the world, m, and (N, 3) uint8 RGB colours."""
+    clouds: list[Cloud]
+    keyframe_poses: list[NDArray[np.float64]]  # (4, 4) T_kf_world
 
 
 class RunFolder:
@@ -95,7 +97,7 @@ class RunFolder:
                 write_tum(self.path / "keyframes.part", refined.at(_indices(refined, times)))
                 (self.path / "keyframes.part").replace(self.path / "keyframes.txt")
         if isinstance(odometry, HasMap):
-            write_ply(self.path / "map.ply", *odometry.map_points())
+            write_ply(self.path / "map.ply", world_cloud(odometry.clouds, odometry.keyframe_poses))
         summary = summarise(run, evaluation)
         (self.path / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
         return summary
@@ -173,20 +175,6 @@ def default_folder(sequence: str, now: datetime, root: Path = Path("runs")) -> P
         link.symlink_to(name, target_is_directory=True)
         link.replace(parent / "latest")
     return parent / name
-
-
-def write_ply(path: Path, points: Tensor, colors: Tensor) -> None:
-    """(N, 3) points, m, and (N, 3) uint8 RGB colours as a binary PLY point cloud."""
-    layout = [(axis, "<f4") for axis in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")]
-    vertices = np.empty(len(points), dtype=layout)
-    for column, name in enumerate(("x", "y", "z")):
-        vertices[name] = points[:, column].numpy()
-    for column, name in enumerate(("red", "green", "blue")):
-        vertices[name] = colors[:, column].numpy()
-    kinds = {"<f4": "float", "u1": "uchar"}
-    properties = "".join(f"property {kinds[kind]} {name}\n" for name, kind in layout)
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{properties}end_header\n"
-    path.write_bytes(header.encode("ascii") + vertices.tobytes())
 
 
 def _indices(trajectory: Trajectory, times: list[float]) -> Tensor:

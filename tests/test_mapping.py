@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,16 @@ from idrgbdo_torch.candidates import make_keyframe
 from idrgbdo_torch.config import Config
 from idrgbdo_torch.frame import Keyframe, RgbdFrame, prepare
 from idrgbdo_torch.kernels import choice
-from idrgbdo_torch.mapping import Cloud, condense, keyframe_cloud, merge_in_voxels, world_cloud
+from idrgbdo_torch.mapping import (
+    Cloud,
+    condense,
+    keyframe_cloud,
+    merge_in_voxels,
+    surface_normals,
+    world_cloud,
+    write_ply,
+)
+from idrgbdo_torch.open3d_loader import load_open3d
 from idrgbdo_torch.selection import point_bits
 from idrgbdo_torch.tracking import kernel_noise
 
@@ -45,7 +55,10 @@ def wall_keyframe(color: bool = True) -> Keyframe:
 
 def scattered(n: int, seed: int = 0) -> Cloud:
     rng = np.random.default_rng(seed)
-    return Cloud(rng.uniform(-1, 1, (n, 3)).astype(np.float32), rng.integers(0, 256, (n, 3), dtype=np.uint8))
+    normal = rng.normal(size=(n, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    xyz, rgb = rng.uniform(-1, 1, (n, 3)).astype(np.float32), rng.integers(0, 256, (n, 3), dtype=np.uint8)
+    return Cloud(xyz, rgb, normal.astype(np.float32))
 
 
 def poses(n: int) -> list[np.ndarray]:
@@ -64,6 +77,30 @@ def test_a_keyframes_points_project_to_where_they_were_seen_in_their_colour() ->
     column, row = keyframe.points.uv.astype(int).T
     assert keyframe.frame.color is not None
     np.testing.assert_array_equal(cloud.rgb, keyframe.frame.color.numpy()[row, column])
+
+
+def test_normals_look_back_from_the_surface_and_stop_at_its_edge() -> None:
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width].astype(float)
+    n = np.array([0.3, -0.2, -1.0])
+    n /= np.linalg.norm(n)
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones_like(u)], axis=-1)
+    depth = (-2.0 / (rays @ n)).astype(np.float32)  # the plane n . P = -2 m
+    depth[:, 100:] *= 0.5
+    depth[50, 60] = 0.0
+    row, column = np.array([60, 20, 60, 50, 1]), np.array([40, 130, 98, 57, 40])
+    normal = surface_normals(depth, CAMERA, row, column)
+    np.testing.assert_allclose(normal[:2], [n, n], atol=1e-4)
+    np.testing.assert_array_equal(normal[2:4], 0.0)  # beside the jump, beside the hole
+    np.testing.assert_allclose(normal[4], n, atol=1e-4)  # at the border one neighbour is nearer
+
+
+def test_open3d_reads_the_point_cloud_back(tmp_path: Path) -> None:
+    cloud = scattered(17)
+    write_ply(tmp_path / "map.ply", cloud)
+    back = load_open3d().io.read_point_cloud(str(tmp_path / "map.ply"))
+    np.testing.assert_allclose(np.asarray(back.points), cloud.xyz)
+    np.testing.assert_allclose(np.asarray(back.normals), cloud.normal)
+    np.testing.assert_allclose(np.asarray(back.colors) * 255, cloud.rgb, atol=1e-6)
 
 
 def test_refined_inverse_depths_move_points_and_impossible_ones_are_left_out() -> None:
@@ -92,16 +129,20 @@ def test_clouds_are_laid_into_the_world_by_their_keyframes_poses() -> None:
     ]
     np.testing.assert_allclose(world.xyz, torch.cat(expected).numpy(), atol=1e-6)
     np.testing.assert_array_equal(world.rgb, np.concatenate([cloud.rgb for cloud in clouds]))
+    turned = [cloud.normal @ T[:3, :3] for cloud, T in zip(clouds, T_kf_world, strict=True)]
+    np.testing.assert_allclose(world.normal, np.concatenate(turned), atol=1e-6)
     assert len(world_cloud([], [])) == 0
 
 
 def test_a_voxel_keeps_the_mean_of_its_points_and_colours() -> None:
     xyz = np.array([[0.0, 0, 0], [0.1, 0, 0], [5.0, 0, 0]], np.float32)
     rgb = np.array([[10, 0, 200], [20, 0, 100], [7, 8, 9]], np.uint8)
-    merged = merge_in_voxels(Cloud(xyz, rgb), 1.0)
+    normal = np.array([[0, 0, -1], [0, -1, 0], [0, 0, 0]], np.float32)
+    merged = merge_in_voxels(Cloud(xyz, rgb, normal), 1.0)
     order = np.argsort(merged.xyz[:, 0])
     np.testing.assert_allclose(merged.xyz[order], [[0.05, 0, 0], [5.0, 0, 0]], atol=1e-6)
     np.testing.assert_array_equal(merged.rgb[order], [[15, 0, 150], [7, 8, 9]])
+    np.testing.assert_allclose(merged.normal[order], [[0, -(0.5**0.5), -(0.5**0.5)], [0, 0, 0]], atol=1e-6)
 
 
 def test_below_the_limit_nothing_changes() -> None:

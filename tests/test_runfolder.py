@@ -16,8 +16,9 @@ from idrgbdo_torch import configfile
 from idrgbdo_torch.config import Config
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.evaluation import evaluate
+from idrgbdo_torch.mapping import Cloud
 from idrgbdo_torch.odometry import ConstantVelocity, Record, Run, Status, TrackResult
-from idrgbdo_torch.runfolder import COLUMNS, RunFolder, default_folder, measurements, summarise, write_ply
+from idrgbdo_torch.runfolder import COLUMNS, RunFolder, default_folder, measurements, summarise
 from idrgbdo_torch.se3 import exp
 from idrgbdo_torch.trajectory import Trajectory, read_tum
 
@@ -59,8 +60,11 @@ class Refining(ConstantVelocity):
         moved[:, 2, 3] += 1.0
         return Trajectory(causal.timestamps, moved)
 
-    def map_points(self) -> tuple[torch.Tensor, torch.Tensor]:
-        return torch.tensor([[0.5, -1.0, 2.0], [0, 0, 1.0]]), torch.tensor([[255, 0, 7], [1, 2, 3]], dtype=torch.uint8)
+    def __init__(self) -> None:
+        super().__init__()
+        rgb = np.array([[255, 0, 7], [1, 2, 3]], np.uint8)
+        self.clouds = [Cloud(np.array([[0.5, -1, 2], [0, 0, 1]], np.float32), rgb, np.zeros((2, 3), np.float32))]
+        self.keyframe_poses = [np.eye(4)]
 
 
 def test_what_is_written_frame_by_frame_is_there_at_once(tmp_path: Path) -> None:
@@ -174,13 +178,3 @@ def test_default_folders_never_collide_and_latest_points_to_the_newest(tmp_path:
     assert second == tmp_path / "desk" / "2026-03-01_14-05-33_2"
     assert (tmp_path / "desk" / "latest").resolve() == second.resolve()
     assert sorted(path.name for path in (tmp_path / "desk").iterdir()) == [first.name, second.name, "latest"]
-
-
-def test_ply_is_what_open3d_reads(tmp_path: Path) -> None:
-    from idrgbdo_torch.open3d_loader import load_open3d
-
-    points, colors = Refining().map_points()
-    write_ply(tmp_path / "map.ply", points, colors)
-    cloud = load_open3d().io.read_point_cloud(str(tmp_path / "map.ply"))
-    np.testing.assert_allclose(np.asarray(cloud.points), points.numpy())
-    np.testing.assert_allclose(np.asarray(cloud.colors) * 255, colors.numpy())
