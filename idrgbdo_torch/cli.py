@@ -54,6 +54,8 @@ class RunCommand:
     config: Path | None = None  # TOML; its values are the defaults of the flags
     out: Path | None = None  # folder for the results; else runs/<sequence>/<time>
     figures: bool = False  # also draw the chosen points on some frames, and the trajectory from above
+    viewer: bool = False  # watch it in Rerun, pip install "idrgbdo_torch[viewer]"
+    save_rrd: Path | None = None  # the same into a file, for machines without a display
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,8 @@ class DemoCommand:
     settings: Settings = field(default_factory=Config)
     config: Path | None = None  # TOML; its values are the defaults of the flags
     out: Path | None = None  # folder for the results; else runs/demo/<time>
+    viewer: bool = False  # watch it in Rerun, pip install "idrgbdo_torch[viewer]"
+    save_rrd: Path | None = None  # the same into a file, for machines without a display
 
 
 Command = RunCommand | CheckCommand | EvaluateCommand | SynthCommand | DemoCommand | CompareCommand | DownloadCommand | ExperimentCommand

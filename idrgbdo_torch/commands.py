@@ -28,6 +28,7 @@ from .trajectory import Trajectory, read_tum
 
 if TYPE_CHECKING:
     from .cli import DemoCommand, EvaluateCommand, Input, RunCommand, SynthCommand
+    from .viewer import Viewer
 
 DEMO = synthetic.SynthConfig(kind="desk", frames=90)
 INTERRUPTED = 128 + signal.SIGINT
@@ -37,7 +38,10 @@ def run(command: RunCommand) -> int:
     """Track a recording."""
     sequence = open_input(command.sequence, command.input)
     print("reading", sequence.recognised, flush=True)
-    return _track(sequence, sequence.name, command.settings, command.out, command.figures)
+    from .viewer import open_viewer
+
+    with open_viewer(sequence.name, command.viewer, command.save_rrd) as viewer:
+        return _track(sequence, sequence.name, command.settings, command.out, command.figures, viewer)
 
 
 def open_input(path: Path, options: Input) -> datasets.RgbdSequence:
@@ -64,7 +68,10 @@ def demo(command: DemoCommand) -> int:
     if not (folder / "rgb.txt").exists():
         print(f"rendering {DEMO.frames} frames of a desk into {folder} (once)", flush=True)
         _render(DEMO, folder)
-    return _track(datasets.open_sequence(folder), "demo", command.settings, command.out)
+    from .viewer import open_viewer
+
+    with open_viewer("demo", command.viewer, command.save_rrd) as viewer:
+        return _track(datasets.open_sequence(folder), "demo", command.settings, command.out, viewer=viewer)
 
 
 def evaluate(command: EvaluateCommand) -> int:
@@ -91,7 +98,10 @@ def make_odometry(config: Config) -> Odometry:
     return IdRgbdo(config)
 
 
-def _track(sequence: datasets.RgbdSequence, title: str, config: Config, out: Path | None, figures: bool = False) -> int:
+def _track(
+    sequence: datasets.RgbdSequence, title: str, config: Config, out: Path | None, figures: bool = False,
+    viewer: Viewer | None = None,
+) -> int:  # fmt: skip
     """Track a sequence into a run folder, evaluate it where there is ground truth, and show the table."""
     for warning in sequence.warnings:
         print("warning:", warning, file=sys.stderr)
@@ -109,6 +119,8 @@ def _track(sequence: datasets.RgbdSequence, title: str, config: Config, out: Pat
 
         picks, snapshots = _spread_out(len(sequence)), list[Snapshot]()
         frames = watch(_until(stopped, sequence), method, picks, snapshots)
+        if viewer:
+            frames = viewer.stream(frames, method, records, sequence.groundtruth)
         done = odometry.run(method, draw_frames(frames, method, records, pictures) if figures else frames, on_record)
         evaluation, rows = _evaluated(done, method, sequence.groundtruth)
         if figures and records:

@@ -29,9 +29,9 @@ FLOORS = (
     {"datasets", "synthetic", "evaluation", "figures", "download"},  # world
     {"runfolder"},
     {"comparison", "check"},
-    {"report"},
+    {"report", "viewer", "video"},
     {"experiments", "terminal"},  # doors
-    {"commands", "compare_command", "download_command", "experiment_command"},
+    {"commands", "compare_command", "download_command", "experiment_command", "video_command"},
     {"check_command", "doctor_command"},
     {"cli"},
     {"__main__", "__init__"},
