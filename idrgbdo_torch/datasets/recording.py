@@ -101,10 +101,8 @@ class RecordedSequence:
         """What this was taken for, in one line."""
         c = self.camera
         truth = "with ground truth" if self.groundtruth is not None else "no ground truth"
-        return (
-            f"{self._recording.title}: {len(self)} frames of {c.width}x{c.height}, "
-            f"{self.depth_scale:g} depth values per metre, {truth}"
-        )
+        depth = "depth in metres" if self.depth_scale == 1 else f"{self.depth_scale:g} depth values per metre"
+        return f"{self._recording.title}: {len(self)} frames of {c.width}x{c.height}, {depth}, {truth}"
 
     def __len__(self) -> int:
         return len(self._chosen)
