@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from tyro.conf import FlagConversionOff, Positional, arg, subcommand
@@ -54,6 +54,8 @@ class RunCommand:
     config: Path | None = None  # TOML; its values are the defaults of the flags
     out: Path | None = None  # folder for the results; else runs/<sequence>/<time>
     figures: bool = False  # also draw the chosen points on some frames, and the trajectory from above
+    map: Literal["none", "points", "mesh"] = "points"  # keyframe points; mesh: all depth fused too, in a second pass
+    resume: bool = False  # go on with the interrupted run in --out, else in runs/<sequence>/latest
     viewer: bool = False  # watch it in Rerun, pip install "idrgbdo_torch[viewer]"
     save_rrd: Path | None = None  # the same into a file, for machines without a display
 
@@ -65,6 +67,20 @@ class CheckCommand:
     sequence: Positional[Path]  # as for `idrgbdo run`
     input: Annotated[Input, arg(name="")] = field(default_factory=Input)
     out: Path | None = None  # PNG; else runs/<sequence>/check.png
+
+
+@dataclass(frozen=True)
+class MeshCommand:
+    """Fuse a recording's depth into a coloured mesh, along the poses of a run."""
+
+    sequence: Positional[Path]  # as for `idrgbdo run`
+    poses: Positional[Path]  # the folder of a run, or a trajectory, TUM text
+    input: Annotated[Input, arg(name="")] = field(default_factory=Input)
+    out: Path | None = None  # PLY; else mesh.ply beside the poses
+    voxel: configfile.Positive = 0.01  # m
+    depth_max: configfile.Positive = 3.0  # m, farther depth is left out
+    blocks: configfile.Count = 40_000  # of 8^3 voxels, 6 kB each; where they run out the voxels become larger
+    fuse_every: configfile.Count = 1  # fuse every n-th frame
 
 
 @dataclass(frozen=True)
@@ -95,7 +111,17 @@ class DemoCommand:
     save_rrd: Path | None = None  # the same into a file, for machines without a display
 
 
-Command = RunCommand | CheckCommand | EvaluateCommand | SynthCommand | DemoCommand | CompareCommand | DownloadCommand | ExperimentCommand
+Command = (
+    RunCommand
+    | CheckCommand
+    | MeshCommand
+    | EvaluateCommand
+    | SynthCommand
+    | DemoCommand
+    | CompareCommand
+    | DownloadCommand
+    | ExperimentCommand
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -116,6 +142,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return commands.run(command)
         if isinstance(command, EvaluateCommand):
             return commands.evaluate(command)
+        if isinstance(command, MeshCommand):
+            return commands.mesh(command)
         if isinstance(command, SynthCommand):
             return commands.synth(command)
         return commands.demo(command)
@@ -137,6 +165,7 @@ def parse(argv: list[str]) -> Command:
     commands = (
         Annotated[RunCommand, subcommand("run", default=RunCommand(tyro.MISSING, settings))]
         | Annotated[CheckCommand, subcommand("check")]
+        | Annotated[MeshCommand, subcommand("mesh")]
         | Annotated[EvaluateCommand, subcommand("evaluate")]
         | Annotated[SynthCommand, subcommand("synth")]
         | Annotated[DemoCommand, subcommand("demo", default=DemoCommand(settings))]

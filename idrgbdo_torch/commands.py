@@ -12,22 +12,24 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from . import __version__, configfile, datasets, odometry, synthetic
+from . import __version__, checkpoint, configfile, datasets, odometry, synthetic
+from .checkpoint import Checkpoints, Identity, State
 from .config import Config
 from .errors import IdRgbdoError
 from .evaluation import Evaluation
 from .evaluation import evaluate as evaluate_trajectory
 from .figures import Picture, draw_frames, draw_trajectory, save
 from .frame import BrokenFrame, RgbdFrame
+from .mesh import MeshConfig, fuse
 from .odometry import Odometry, Record, Run, Status
 from .report import Snapshot, run_page, watch
-from .runfolder import RunFolder, default_folder, is_refined, measurements
+from .runfolder import RunFolder, believable, default_folder, is_refined, measurements, run_trajectory
 from .se3 import inverse, transform
 from .terminal import Rows, evaluation_rows, progress_bar, run_rows, show_table, status_counter
 from .trajectory import Trajectory, read_tum
 
 if TYPE_CHECKING:
-    from .cli import DemoCommand, EvaluateCommand, Input, RunCommand, SynthCommand
+    from .cli import DemoCommand, EvaluateCommand, Input, MeshCommand, RunCommand, SynthCommand
     from .viewer import Viewer
 
 DEMO = synthetic.SynthConfig(kind="desk", frames=90)
@@ -41,7 +43,9 @@ def run(command: RunCommand) -> int:
     from .viewer import open_viewer
 
     with open_viewer(sequence.name, command.viewer, command.save_rrd) as viewer:
-        return _track(sequence, sequence.name, command.settings, command.out, command.figures, viewer)
+        return _track(
+            sequence, sequence.name, command.settings, command.out, command.figures, viewer, command.map, command.resume
+        )
 
 
 def open_input(path: Path, options: Input) -> datasets.RgbdSequence:
@@ -91,6 +95,24 @@ def synth(command: SynthCommand) -> int:
     return 0
 
 
+def mesh(command: MeshCommand) -> int:
+    """Fuse a recording's depth along the poses of a run, or of any trajectory."""
+    sequence = open_input(command.sequence, command.input)
+    config = MeshConfig(command.voxel, command.depth_max, command.blocks, every=command.fuse_every)
+    out = command.out or (command.poses if command.poses.is_dir() else command.poses.parent) / "mesh.ply"
+    trajectory = run_trajectory(command.poses) if command.poses.is_dir() else read_tum(command.poses)
+    show_table("mesh", [("mesh", _mesh(sequence, trajectory, out, config)), ("results in", str(out))])
+    return 0
+
+
+def _mesh(sequence: datasets.RgbdSequence, trajectory: Trajectory, out: Path, config: MeshConfig | None = None) -> str:
+    """Fuse and write a mesh; what it is, in words."""
+    with progress_bar("mesh", len(sequence)) as advance:
+        fused = fuse(sequence, trajectory, config, advance)
+    fused.write(out)
+    return f"{fused.vertices} vertices from {fused.frames} frames, voxels of {1000 * fused.voxel_m:.3g} mm"
+
+
 def make_odometry(config: Config) -> Odometry:
     """The method of this package."""
     from .id_rgbdo import IdRgbdo
@@ -99,40 +121,72 @@ def make_odometry(config: Config) -> Odometry:
 
 
 def _track(
-    sequence: datasets.RgbdSequence, title: str, config: Config, out: Path | None, figures: bool = False,
+    sequence: datasets.RgbdSequence,
+    title: str,
+    config: Config,
+    out: Path | None,
+    figures: bool = False,
     viewer: Viewer | None = None,
-) -> int:  # fmt: skip
+    map_kind: str = "points",
+    resume: bool = False,
+) -> int:
     """Track a sequence into a run folder, evaluate it where there is ground truth, and show the table."""
     for warning in sequence.warnings:
         print("warning:", warning, file=sys.stderr)
-    method = make_odometry(config)
-    folder = RunFolder(out or default_folder(title, datetime.now()), configfile.dump(config))
+    identity = Identity.of(__version__, config, title, sequence.timestamps, sequence.camera)
+    if resume:
+        path = out or (Path("runs") / title / "latest").resolve()
+        state = checkpoint.load(path, identity)
+        print(f"going on after frame {len(state.records)} of {len(sequence)} in {path}", flush=True)
+    else:
+        path = out or default_folder(title, datetime.now())
+        state = State(make_odometry(config), [], [])
+    method, records, done_before = state.odometry, state.records, len(state.records)
+    snapshots: list[Snapshot] = state.extras
+    folder = RunFolder(path, configfile.dump(config))
+    checkpoints = Checkpoints(path, identity)
     count_statuses = status_counter()
-    records: list[Record] = []
     pictures = folder.path / "figures"
     with folder, stop_at_interrupt() as stopped, progress_bar(title, len(sequence)) as advance:
+        for record in records:
+            folder.append(record)
+            advance(count_statuses(record))
+        checkpoints.write(state)
 
         def on_record(record: Record) -> None:
             folder.append(record)
             records.append(record)
             advance(count_statuses(record))
+            checkpoints.offer(state)
 
-        picks, snapshots = _spread_out(len(sequence)), list[Snapshot]()
-        frames = watch(_until(stopped, sequence), method, picks, snapshots)
+        picks = {number - done_before for number in _spread_out(len(sequence))}
+        frames = watch(_until(stopped, _from(sequence, done_before)), method, picks, snapshots)
         if viewer:
             frames = viewer.stream(frames, method, records, sequence.groundtruth)
-        done = odometry.run(method, draw_frames(frames, method, records, pictures) if figures else frames, on_record)
+        frames = draw_frames(frames, method, records, pictures) if figures else frames
+        done = odometry.run(method, frames, on_record, tuple(records))
+        checkpoints.write(state)  # an interrupted run goes on here; a finished one drops it at the end
         evaluation, rows = _evaluated(done, method, sequence.groundtruth)
         if figures and records:
             save(pictures / "trajectory.png", _from_above(done, evaluation, sequence.groundtruth))
-        summary = folder.finish(done, method, evaluation)
+        summary = folder.finish(done, method, evaluation, with_map=map_kind != "none")
+    if map_kind == "mesh" and done.records:
+        rows.append(("mesh", _mesh(sequence, believable(method.trajectory(), done), path / "mesh.ply")))
     if done.records:
         page = run_page(folder.path, title, sequence.groundtruth, snapshots)
         (folder.path / "report.html").write_text(page, encoding="utf-8")
+    if not stopped:
+        checkpoints.remove()
     looked_at = f"{title}, interrupted" if stopped else title
+    again = [("go on with", "the same command and --resume")] if stopped else []
     results = [("results in", str(folder.path)), ("look at", str(folder.path / "report.html"))]
-    show_table(looked_at, [*run_rows(done, summary), *rows, *(results if done.records else results[:1])])
+    show_table(looked_at, [*run_rows(done, summary), *rows, *again, *(results if done.records else results[:1])])
     return INTERRUPTED if stopped else 0
+
+
+def _from(sequence: datasets.RgbdSequence, first: int) -> Iterable[RgbdFrame | BrokenFrame]:
+    """The frames from number `first` on."""
+    return (sequence.read(number) for number in range(first, len(sequence))) if first else sequence
 
 
 def _evaluated(done: Run, method: Odometry, groundtruth: Trajectory | None) -> tuple[Evaluation | None, Rows]:

@@ -57,6 +57,11 @@ class Mesh:
     voxel_m: float  # as it came out
     frames: int  # fused
 
+    @property
+    def vertices(self) -> int:
+        """How many there are."""
+        return int(self.triangles.vertex.positions.shape[0])
+
     def write(self, path: Path) -> None:
         """A binary PLY. Raises IdRgbdoError where it cannot be written."""
         o3d = load_open3d()
@@ -132,10 +137,13 @@ def _fuse_at(
         if grid.hashmap().size() > config.blocks:
             raise _BudgetSpent(f"blocks: {config.blocks} do not hold the surface at {voxel_m} m")
         fused += 1
-    mesh = grid.extract_triangle_mesh(weight_threshold=min(config.weight, float(max(fused, 1))))
-    if fused == 0 or mesh.vertex.positions.shape[0] == 0:
+    triangles = grid.extract_triangle_mesh(weight_threshold=min(config.weight, float(max(fused, 1))))
+    if "colors" in triangles.vertex:
+        triangles.vertex.colors = triangles.vertex.colors.clip(0.0, 1.0)  # interpolated; Open3D warns of 1.0001
+    mesh = Mesh(triangles, voxel_m, fused)
+    if fused == 0 or mesh.vertices == 0:
         raise IdRgbdoError("mesh: no surface was seen often enough within depth_max_m; raise it or lower the weight")
-    return Mesh(mesh, voxel_m, fused)
+    return mesh
 
 
 def _integrate(grid: Any, frame: RgbdFrame, T_cam_world: torch.Tensor, depth_max_m: float) -> None:

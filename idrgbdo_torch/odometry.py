@@ -200,14 +200,18 @@ def run(
     odometry: Odometry,
     frames: Iterable[RgbdFrame | BrokenFrame],
     on_record: Callable[[Record], None] | None = None,
+    earlier: Sequence[Record] = (),
 ) -> Run:
     """Track all frames, from wherever the odometry stands: the only place that takes time.
 
     The clock runs around track() alone; fetching a frame is timed apart. A BrokenFrame is LOST with its reason, at the
     last pose. on_record sees every record as soon as it is there, so that an interrupted run leaves what was done.
+    earlier: the records of a run that is continued; they come first in the result.
     """
-    records: list[Record] = []
+    records = list(earlier)
     segment, pose = 0, torch.eye(4, dtype=torch.float64)
+    if records:
+        segment, pose = records[-1].result.segment, records[-1].result.T_world_cam
     source = iter(frames)
     while True:
         begin = perf_counter_ns()

@@ -20,7 +20,7 @@ from .errors import IdRgbdoError
 from .evaluation import Evaluation, Measurement
 from .mapping import Cloud, world_cloud, write_ply
 from .odometry import Odometry, Record, Run, Status
-from .trajectory import TUM_HEADER, Trajectory, nearest, tum_line, write_tum
+from .trajectory import TUM_HEADER, Trajectory, nearest, read_tum, tum_line, write_tum
 
 DEGREES_OF_FREEDOM = ("vx", "vy", "vz", "wx", "wy", "wz")
 UPPER = [(row, column) for row in range(6) for column in range(row, 6)]
@@ -52,7 +52,7 @@ class RunFolder:
         self.path = path
         try:
             path.mkdir(parents=True, exist_ok=True)
-            for name in (*OWN_FILES, "map.ply"):
+            for name in (*OWN_FILES, "map.ply", "mesh.ply"):
                 (path / name).unlink(missing_ok=True)
             (path / "config.toml").write_text(config_toml, encoding="utf-8")
             self._trajectory, self._keyframes, self._frames = (
@@ -83,7 +83,9 @@ class RunFolder:
         self._rows.writerow(_row(record))
         self._frames.flush()
 
-    def finish(self, run: Run, odometry: Odometry, evaluation: Evaluation | None = None) -> dict[str, Any]:
+    def finish(
+        self, run: Run, odometry: Odometry, evaluation: Evaluation | None = None, with_map: bool = True
+    ) -> dict[str, Any]:
         """Write the refined trajectory and keyframes, the map where there is one, and the summary; returns the latter.
 
         trajectory_refined.txt is only written where the odometry changed a pose after its frame.
@@ -96,11 +98,35 @@ class RunFolder:
                 self._keyframes.close()
                 write_tum(self.path / "keyframes.part", refined.at(_indices(refined, times)))
                 (self.path / "keyframes.part").replace(self.path / "keyframes.txt")
-        if isinstance(odometry, HasMap):
+        if with_map and isinstance(odometry, HasMap):
             write_ply(self.path / "map.ply", world_cloud(odometry.clouds, odometry.keyframe_poses))
         summary = summarise(run, evaluation)
         (self.path / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
         return summary
+
+
+def believable(trajectory: Trajectory, run: Run) -> Trajectory:
+    """An odometry's trajectory without the frames that were lost."""
+    lost = torch.tensor([status is Status.LOST for status in run.statuses])
+    return trajectory.at(~lost[_indices(run.trajectory(), trajectory.timestamps.tolist())])
+
+
+def run_trajectory(folder: Path) -> Trajectory:
+    """The poses of a finished run, refined where there are such, without the frames that were lost.
+
+    Raises IdRgbdoError for a folder that is not a run's.
+    """
+    refined, causal = folder / "trajectory_refined.txt", folder / "trajectory.txt"
+    trajectory = read_tum(refined if refined.exists() else causal)
+    try:
+        with (folder / "frames.csv").open(newline="", encoding="utf-8") as file:
+            lost = [float(row["timestamp"]) for row in csv.DictReader(file) if row["status"] == Status.LOST.value]
+    except OSError as error:
+        raise IdRgbdoError(
+            f"poses: cannot read '{error.filename}': {error.strerror}; pass the folder of a run"
+        ) from error
+    gone = torch.isin(trajectory.timestamps, torch.tensor(lost, dtype=torch.float64))
+    return trajectory.at(~gone)
 
 
 def is_refined(trajectory: Trajectory, run: Run) -> bool:

@@ -24,10 +24,10 @@ FLOORS = (
     {"alignment"},
     {"torch_backend"},
     {"selection", "tracking", "keyframe", "marginalization"},  # decisions
-    {"candidates", "window", "mapping", "informative"},
+    {"candidates", "window", "mapping", "mesh", "informative"},
     {"id_rgbdo"},  # system
     {"datasets", "synthetic", "evaluation", "figures", "download"},  # world
-    {"runfolder"},
+    {"runfolder", "checkpoint"},
     {"comparison", "check"},
     {"report", "viewer", "video"},
     {"experiments", "terminal"},  # doors
