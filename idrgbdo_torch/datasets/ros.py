@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import struct
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +31,9 @@ NO_COLOR = re.compile(r"depth|infra|(^|[/_])ir([/_]|$)|mask|label|segment|dispar
 COLORFUL = re.compile(r"rgb|colou?r", re.IGNORECASE)
 
 Stamp = tuple[float, int]  # s of the header, ns at which it was recorded
+
+# what rosbags raises for damaged content besides its own errors
+DAMAGE = (AssertionError, ArithmeticError, EOFError, LookupError, OSError, RuntimeError, ValueError, struct.error)
 
 
 def recognise(path: Path) -> bool:
@@ -61,7 +66,10 @@ def read(path: Path, options: Options) -> Recording:
         read=read_pair,
         calibration=bag.calibration(color.topic) if options.camera is None else find_calibration(path, options.camera),
         depth_scale=DEPTH_SCALE,
-        warnings=bag.frame_warnings(color, frames[0][1], depth, frames[0][2]) if options.camera is None else (),
+        warnings=(
+            *((f"{bag.damaged} damaged images are left out",) if bag.damaged else ()),
+            *(bag.frame_warnings(color, frames[0][1], depth, frames[0][2]) if options.camera is None else ()),
+        ),
     )
 
 
@@ -71,6 +79,7 @@ class _Bag:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.reader = _open(path)
+        self.damaged = 0  # images that have not even a time
         weakref.finalize(self, self.reader.close)
 
     def topic(self, kind: str, name: str | None) -> Connection:
@@ -93,10 +102,17 @@ class _Bag:
         return found[0]
 
     def stamps(self, connection: Connection) -> list[tuple[float, Stamp]]:
-        """The images of a topic by the time of their headers, or by that of their recording where headers have none."""
+        """The images of a topic by the time of their headers, or by that of their recording where headers have none.
+
+        Raises IdRgbdoError for a recording that is damaged between the images, or has none.
+        """
         found: dict[float, Stamp] = {}
-        for _, recorded, data in self.reader.messages([connection]):
-            stamp = self._stamp(self.reader.deserialize(data, connection.msgtype))
+        for recorded, data in self._messages(connection):
+            try:
+                stamp = self._stamp(self._decode(data, connection))
+            except IdRgbdoError:
+                self.damaged += 1
+                continue
             time = stamp if stamp > 0 else recorded / 1e9
             found[time] = (stamp, recorded)
         if not found:
@@ -106,8 +122,8 @@ class _Bag:
     def message(self, connection: Connection, which: Stamp) -> Any:
         """The message of that time."""
         stamp, recorded = which
-        for _, _, data in self.reader.messages([connection], recorded, recorded + 1):
-            message = self.reader.deserialize(data, connection.msgtype)
+        for _, data in self._messages(connection, recorded, recorded + 1):
+            message = self._decode(data, connection)
             if self._stamp(message) == stamp:
                 return message
         raise IdRgbdoError(f"{self._path}: the image of {stamp:.6f} s is gone; was the file changed?")
@@ -118,9 +134,9 @@ class _Bag:
         infos = [c for c in self.reader.connections if c.msgtype == INFO_TYPE]
         for connection in infos:
             if connection.topic.rsplit("/", 1)[0] == namespace:
-                _, _, data = next(self.reader.messages([connection]))
-                message = self.reader.deserialize(data, INFO_TYPE)
-                return _calibration(message, "rect" in color_topic, f"{self._path}, {connection.topic}")
+                for _, data in self._messages(connection):
+                    message = self._decode(data, connection)
+                    return _calibration(message, "rect" in color_topic, f"{self._path}, {connection.topic}")
         raise IdRgbdoError(
             f"{self._path}: expected '{namespace}/camera_info', found {', '.join(c.topic for c in infos) or 'none'}; "
             "pass --camera F.toml with fx, fy, cx, cy"
@@ -136,6 +152,18 @@ class _Bag:
             "registered topic with --depth-topic, or describe the depth camera in a camera file under [depth]",
         )
 
+    def _messages(
+        self, connection: Connection, start: int | None = None, stop: int | None = None
+    ) -> Iterator[tuple[int, bytes]]:
+        """Time of recording (ns) and data of a topic's messages."""
+        with _damage_named(str(self._path)):
+            for _, recorded, data in self.reader.messages([connection], start, stop):
+                yield recorded, data
+
+    def _decode(self, data: bytes, connection: Connection) -> Any:
+        with _damage_named(f"{self._path}, {connection.topic}"):
+            return self.reader.deserialize(data, connection.msgtype)
+
     @staticmethod
     def _stamp(message: Any) -> float:
         stamp = message.header.stamp
@@ -144,18 +172,29 @@ class _Bag:
 
 def _open(path: Path) -> AnyReader:
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise IdRgbdoError(
             f'{path}: reading ROS recordings needs rosbags ({error}); run `pip install "idrgbdo_torch[ros]"`'
         ) from error
-    try:
+    with _damage_named(f"{path}: cannot read this as a ROS recording"):
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
-    except (AnyReaderError, OSError, ValueError) as error:
-        raise IdRgbdoError(f"{path}: cannot read this as a ROS recording: {error}; check or record it again") from error
     return reader
+
+
+@contextmanager
+def _damage_named(where: str) -> Iterator[None]:
+    """Raises IdRgbdoError for whatever rosbags says of damaged content."""
+    from rosbags.highlevel import AnyReaderError
+    from rosbags.rosbag1 import ReaderError as Error1
+    from rosbags.rosbag2 import ReaderError as Error2
+
+    try:
+        yield
+    except (AnyReaderError, Error1, Error2, *DAMAGE) as error:
+        raise IdRgbdoError(f"{where}: the recording is damaged ({error}); repair or record it again") from error
 
 
 def _calibration(info: Any, rectified: bool, where: str) -> Calibration:
