@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -27,6 +28,7 @@ from .runfolder import RunFolder, believable, default_folder, is_refined, measur
 from .se3 import inverse, transform
 from .terminal import Rows, evaluation_rows, progress_bar, run_rows, show_table, status_counter
 from .trajectory import Trajectory, read_tum
+from .video_command import remember
 
 if TYPE_CHECKING:
     from .cli import DemoCommand, EvaluateCommand, Input, MeshCommand, RunCommand, SynthCommand
@@ -43,9 +45,11 @@ def run(command: RunCommand) -> int:
     from .viewer import open_viewer
 
     with open_viewer(sequence.name, command.viewer, command.save_rrd) as viewer:
-        return _track(
-            sequence, sequence.name, command.settings, command.out, command.figures, viewer, command.map, command.resume
-        )
+        source = partial(remember, sequence=command.sequence, options=command.input)
+        return track(
+            sequence, sequence.name, command.settings, command.out, command.figures, viewer, command.map,
+            command.resume, source,
+        )  # fmt: skip
 
 
 def open_input(path: Path, options: Input) -> datasets.RgbdSequence:
@@ -72,10 +76,13 @@ def demo(command: DemoCommand) -> int:
     if not (folder / "rgb.txt").exists():
         print(f"rendering {DEMO.frames} frames of a desk into {folder} (once)", flush=True)
         _render(DEMO, folder)
+    from .cli import Input
     from .viewer import open_viewer
 
+    source = partial(remember, sequence=folder, options=Input())
     with open_viewer("demo", command.viewer, command.save_rrd) as viewer:
-        return _track(datasets.open_sequence(folder), "demo", command.settings, command.out, viewer=viewer)
+        recording = datasets.open_sequence(folder)
+        return track(recording, "demo", command.settings, command.out, viewer=viewer, source=source)
 
 
 def evaluate(command: EvaluateCommand) -> int:
@@ -120,7 +127,7 @@ def make_odometry(config: Config) -> Odometry:
     return IdRgbdo(config)
 
 
-def _track(
+def track(
     sequence: datasets.RgbdSequence,
     title: str,
     config: Config,
@@ -129,8 +136,12 @@ def _track(
     viewer: Viewer | None = None,
     map_kind: str = "points",
     resume: bool = False,
+    source: Callable[[Path], None] = lambda folder: None,
 ) -> int:
-    """Track a sequence into a run folder, evaluate it where there is ground truth, and show the table."""
+    """Track a sequence into a run folder, evaluate it where there is ground truth, and show the table.
+
+    source: leaves in the folder what was tracked.
+    """
     for warning in sequence.warnings:
         print("warning:", warning, file=sys.stderr)
     identity = Identity.of(__version__, config, title, sequence.timestamps, sequence.camera)
@@ -144,6 +155,7 @@ def _track(
     method, records, done_before = state.odometry, state.records, len(state.records)
     snapshots: list[Snapshot] = state.extras
     folder = RunFolder(path, configfile.dump(config))
+    source(path)
     checkpoints = Checkpoints(path, identity)
     count_statuses = status_counter()
     pictures = folder.path / "figures"
