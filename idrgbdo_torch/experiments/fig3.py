@@ -114,8 +114,8 @@ def findings(points: Sequence[Point]) -> list[str]:
     apart = best.k2fe_m + best.half_width_m < worst.k2fe_m - worst.half_width_m
     reached = _points_to_reach([at["rand", count] for count in counts], best.k2fe_m)
     return [
-        f"inf+grid < grid < rand at {_of(order, low)} points",
-        f"inf+grid <= {TIE:g} x inf at {_of(tie, low)} points",
+        f"inf+grid < grid < rand at {_of(order, low)}",
+        f"inf+grid <= {TIE:g} x inf at {_of(tie, low)}",
         f"at {few} points the intervals of inf+grid and rand {'do not overlap' if apart else 'OVERLAP'}: "
         f"{best.k2fe_m:.4f} +- {best.half_width_m:.4f} m and {worst.k2fe_m:.4f} +- {worst.half_width_m:.4f} m",
         f"rand reaches the accuracy of inf+grid at {few} points with "

@@ -21,6 +21,7 @@ Result = dict[str, Any]
 RETRIES = 1  # of a task that raises
 KILLS = 3  # times that a process may die with a task in it or beside it
 AHEAD = 2  # tasks a worker has waiting, so that it never waits itself
+IDLE_S = 60  # that processes wait for the next sweep
 ONE_THREAD = {
     f"{library}_NUM_THREADS": "1" for library in ("OMP", "MKL", "OPENBLAS", "NUMBA", "NUMEXPR", "VECLIB_MAXIMUM")
 } | {"OPENCV_FOR_THREADS_NUM": "1"}  # times of tasks side by side stay fair
@@ -138,13 +139,16 @@ def _executor(workers: Workers) -> Iterator[tuple[Executor, int]]:
                 )
             yield client.get_executor(pure=False), AHEAD * cores
         return
-    from joblib.externals.loky import ProcessPoolExecutor
+    from joblib.externals.loky import get_reusable_executor
 
-    pool = ProcessPoolExecutor(max_workers=workers.jobs, env=ONE_THREAD)
+    pool = get_reusable_executor(max_workers=workers.jobs, timeout=IDLE_S, env=ONE_THREAD)
+    finished = False
     try:
         yield pool, AHEAD * workers.jobs
+        finished = True
     finally:
-        pool.shutdown(wait=True, kill_workers=True)
+        if not finished:
+            pool.shutdown(wait=True, kill_workers=True)
 
 
 def _dask_client(address: str) -> Any:
