@@ -20,6 +20,7 @@ from .download_command import DownloadCommand, download
 from .errors import IdRgbdoError
 from .experiment_command import ExperimentCommand, experiment
 from .synthetic.config import SynthConfig
+from .video_command import video
 
 DESCRIPTION = """RGB-D odometry from a handful of informative points: a pose per frame, a map, and how certain they are.
 
@@ -84,6 +85,19 @@ class MeshCommand:
 
 
 @dataclass(frozen=True)
+class VideoCommand:
+    """Film a run or a recording: every frame with its tracked points, coloured by what each is worth."""
+
+    source: Positional[Path]  # the folder of a run, which is tracked again; or a recording, as for `idrgbdo run`
+    settings: Settings = field(default_factory=Config)
+    input: Annotated[Input, arg(name="")] = field(default_factory=Input)
+    config: Path | None = None  # TOML; its values are the defaults of the flags
+    out: Path | None = None  # .mp4 or .gif; else video.mp4 in the run's folder, or in runs/<sequence>
+    fps: configfile.Positive | None = None  # frames per second; else the recording's own
+    width: configfile.Count | None = None  # px; else as large as the images, 480 for a gif
+
+
+@dataclass(frozen=True)
 class EvaluateCommand:
     """Compare a trajectory with a reference: ATE and RPE."""
 
@@ -115,6 +129,7 @@ Command = (
     RunCommand
     | CheckCommand
     | MeshCommand
+    | VideoCommand
     | EvaluateCommand
     | SynthCommand
     | DemoCommand
@@ -136,6 +151,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return experiment(command)
         if isinstance(command, CheckCommand):
             return check(command)
+        if isinstance(command, VideoCommand):
+            return video(command)
         from . import commands
 
         if isinstance(command, RunCommand):
@@ -166,6 +183,7 @@ def parse(argv: list[str]) -> Command:
         Annotated[RunCommand, subcommand("run", default=RunCommand(tyro.MISSING, settings))]
         | Annotated[CheckCommand, subcommand("check")]
         | Annotated[MeshCommand, subcommand("mesh")]
+        | Annotated[VideoCommand, subcommand("video", default=VideoCommand(tyro.MISSING, settings))]
         | Annotated[EvaluateCommand, subcommand("evaluate")]
         | Annotated[SynthCommand, subcommand("synth")]
         | Annotated[DemoCommand, subcommand("demo", default=DemoCommand(settings))]

@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -26,9 +27,9 @@ from .odometry import Odometry, Record, Run, Status
 from .report import Snapshot, run_page, watch
 from .runfolder import RunFolder, believable, default_folder, is_refined, measurements, run_trajectory
 from .se3 import inverse, transform
+from .source import remember
 from .terminal import Rows, evaluation_rows, progress_bar, run_rows, show_table, status_counter
 from .trajectory import Trajectory, read_tum
-from .video_command import remember
 
 if TYPE_CHECKING:
     from .cli import DemoCommand, EvaluateCommand, Input, MeshCommand, RunCommand, SynthCommand
@@ -45,7 +46,7 @@ def run(command: RunCommand) -> int:
     from .viewer import open_viewer
 
     with open_viewer(sequence.name, command.viewer, command.save_rrd) as viewer:
-        source = partial(remember, sequence=command.sequence, options=command.input)
+        source = partial(remember, sequence=command.sequence, options=asdict(command.input))
         return track(
             sequence, sequence.name, command.settings, command.out, command.figures, viewer, command.map,
             command.resume, source,
@@ -76,10 +77,9 @@ def demo(command: DemoCommand) -> int:
     if not (folder / "rgb.txt").exists():
         print(f"rendering {DEMO.frames} frames of a desk into {folder} (once)", flush=True)
         _render(DEMO, folder)
-    from .cli import Input
     from .viewer import open_viewer
 
-    source = partial(remember, sequence=folder, options=Input())
+    source = partial(remember, sequence=folder, options={})
     with open_viewer("demo", command.viewer, command.save_rrd) as viewer:
         recording = datasets.open_sequence(folder)
         return track(recording, "demo", command.settings, command.out, viewer=viewer, source=source)

@@ -27,12 +27,12 @@ FLOORS = (
     {"candidates", "window", "mapping", "mesh", "informative"},
     {"id_rgbdo"},  # system
     {"datasets", "synthetic", "evaluation", "figures", "download"},  # world
-    {"runfolder", "checkpoint"},
-    {"comparison", "check"},
+    {"runfolder", "source", "checkpoint", "live"},
+    {"comparison", "check", "doctor"},
     {"report", "viewer", "video"},
     {"experiments", "terminal"},  # doors
-    {"commands", "compare_command", "download_command", "experiment_command", "video_command"},
-    {"check_command", "doctor_command"},
+    {"commands", "compare_command", "download_command", "experiment_command"},
+    {"video_command", "check_command", "doctor_command", "live_command"},
     {"cli"},
     {"__main__", "__init__"},
 )
