@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from dask_cluster import dask_cluster
 
 from idrgbdo_torch.cli import main
 from idrgbdo_torch.config import Config
@@ -150,6 +151,18 @@ def test_here_and_in_other_processes_the_numbers_are_the_same(lab: Lab) -> None:
             there.k2fe_mean_m, there.ate_m, there.rpe_m_per_s
         )  # fmt: skip
         assert here["frames"] == there.frames == 35
+
+
+def test_a_cluster_gives_the_same_numbers(lab: Lab, tmp_path: Path) -> None:
+    tasks = [Task(clip, config=Config(), seed=seed) for clip in lab.clips for seed in range(3)]
+
+    def numbers(found: list[Measured]) -> list[tuple[float | None, ...]]:
+        return [(run.ate_m, run.rpe_m_per_s, run.k2fe_mean_m, run.entropy_bits, run.keyframes) for run in found]
+
+    with dask_cluster(tmp_path) as cluster:
+        remote = replace(lab, workers=Workers(cluster=cluster.address), out=tmp_path / "remote")
+        assert numbers(remote.measure(tasks)) == numbers(lab.measure(tasks))
+    assert len((tmp_path / "remote" / "results.jsonl").read_text().splitlines()) == len(tasks)
 
 
 def test_a_task_that_breaks_is_reported_not_raised(lab: Lab) -> None:

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import os
 import signal
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from dask_cluster import Cluster, dask_cluster
 from sweep_tasks import Job, calls_of, square
 
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.experiments.sweep import Progress, Workers, append_result, read_results, sweep
 
-HERE = Path(__file__).parent
 TWO = Workers(jobs=2)
 
 
@@ -80,61 +75,30 @@ def test_a_process_that_dies_takes_no_other_task_with_it(tmp_path: Path, log: Pa
 
 
 @pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
-    """A Dask scheduler and two workers, each a process on the loopback."""
-    folder = tmp_path_factory.mktemp("dask")
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(HERE)}
-    file = folder / "scheduler.json"
-    common = ["--host", "127.0.0.1"]
-
-    def start(*arguments: str) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
-            [sys.executable, "-m", "distributed.cli." + arguments[0], *arguments[1:], *common],
-            env=environment, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-
-    scheduler = start("dask_scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file))
-    workers: list[subprocess.Popen[bytes]] = []
-    try:
-        while not file.exists():
-            assert scheduler.poll() is None
-            time.sleep(0.05)
-        address = json.loads(file.read_text())["address"]
-        workers += [start("dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard") for _ in range(2)]
-        from distributed import Client
-
-        with Client(address, timeout=20, set_as_default=False) as client:
-            client.wait_for_workers(2, timeout=20)
-        yield address, workers
-    finally:
-        for process in [*workers, scheduler]:
-            process.kill()
-            process.wait()
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """Two workers."""
+    with dask_cluster(tmp_path_factory.mktemp("dask")) as running:
+        yield running
 
 
-def test_a_dask_cluster_gives_the_same_results(
-    tmp_path: Path, log: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]]
-) -> None:
+def test_a_dask_cluster_gives_the_same_results(tmp_path: Path, log: Path, cluster: Cluster) -> None:
     tasks = jobs(log, 8, job1="once", job2="always")
-    remote = sweep(square, tasks, tmp_path / "remote.jsonl", Workers(cluster=cluster[0]))
+    remote = sweep(square, tasks, tmp_path / "remote.jsonl", Workers(cluster=cluster.address))
     for path in log.iterdir():
         path.unlink()
     assert remote == sweep(square, tasks, tmp_path / "local.jsonl", TWO)
 
 
-def test_killing_a_dask_worker_in_the_middle_loses_nothing(
-    tmp_path: Path, log: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]]
-) -> None:
-    address, workers = cluster
+def test_killing_a_dask_worker_in_the_middle_loses_nothing(tmp_path: Path, log: Path, cluster: Cluster) -> None:
     tasks = {key: Job(job.number, log, "slow") for key, job in jobs(log, 10).items()}
 
     def kill_at_third(progress: Progress) -> None:
         if progress.done == 3:
-            workers[0].send_signal(signal.SIGKILL)
+            cluster.workers[0].send_signal(signal.SIGKILL)
 
     path = tmp_path / "r.jsonl"
-    results = sweep(square, tasks, path, Workers(cluster=address), kill_at_third)
-    assert workers[0].wait(10) == -signal.SIGKILL
+    results = sweep(square, tasks, path, Workers(cluster=cluster.address), kill_at_third)
+    assert cluster.workers[0].wait(10) == -signal.SIGKILL
     assert squares(results) == {f"job{n}": n**2 for n in range(10)}
     assert sorted(read_results(path)) == sorted(tasks)
     assert len(path.read_text().splitlines()) == 10
