@@ -16,6 +16,7 @@ from . import __version__, configfile
 from .check_command import check
 from .compare_command import CompareCommand, compare
 from .config import Config
+from .doctor_command import DoctorCommand, doctor
 from .download_command import DownloadCommand, download
 from .errors import IdRgbdoError
 from .experiment_command import ExperimentCommand, experiment
@@ -135,6 +136,7 @@ Command = (
     | DemoCommand
     | CompareCommand
     | DownloadCommand
+    | DoctorCommand
     | ExperimentCommand
 )
 
@@ -147,6 +149,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return compare(command)
         if isinstance(command, DownloadCommand):
             return download(command)
+        if isinstance(command, DoctorCommand):
+            return doctor(command)
         if isinstance(command, ExperimentCommand):
             return experiment(command)
         if isinstance(command, CheckCommand):
@@ -189,6 +193,7 @@ def parse(argv: list[str]) -> Command:
         | Annotated[DemoCommand, subcommand("demo", default=DemoCommand(settings))]
         | Annotated[CompareCommand, subcommand("compare")]
         | Annotated[DownloadCommand, subcommand("download")]
+        | Annotated[DoctorCommand, subcommand("doctor")]
         | Annotated[ExperimentCommand, subcommand("experiment")]
     )
     arguments = [re.sub(r"^(--[\w.-]+=)?(true|false)$", _capitalised, argument) for argument in argv] or ["--help"]
