@@ -20,6 +20,7 @@ from .doctor_command import DoctorCommand, doctor
 from .download_command import DownloadCommand, download
 from .errors import IdRgbdoError
 from .experiment_command import ExperimentCommand, experiment
+from .live_command import live
 from .synthetic.config import SynthConfig
 from .video_command import video
 
@@ -58,6 +59,22 @@ class RunCommand:
     figures: bool = False  # also draw the chosen points on some frames, and the trajectory from above
     map: Literal["none", "points", "mesh"] = "points"  # keyframe points; mesh: all depth fused too, in a second pass
     resume: bool = False  # go on with the interrupted run in --out, else in runs/<sequence>/latest
+    viewer: bool = False  # watch it in Rerun, pip install "idrgbdo_torch[viewer]"
+    save_rrd: Path | None = None  # the same into a file, for machines without a display
+
+
+@dataclass(frozen=True)
+class LiveCommand:
+    """Track a camera that is connected: RealSense or Azure Kinect."""
+
+    sensor: Literal["realsense", "azure"] = "realsense"
+    settings: Settings = field(default_factory=Config)
+    config: Path | None = None  # TOML; its values are the defaults of the flags
+    camera: Path | None = None  # TOML with fx, fy, cx, cy; a RealSense camera knows its own
+    depth_scale: configfile.Positive | None = None  # depth values per metre; else the camera's
+    record: Path | None = None  # .bag; RealSense only: everything the camera gives
+    max_frames: configfile.Count = 1800  # a minute; Ctrl-C ends it before
+    out: Path | None = None  # folder for the results; else runs/<sensor>/<time>
     viewer: bool = False  # watch it in Rerun, pip install "idrgbdo_torch[viewer]"
     save_rrd: Path | None = None  # the same into a file, for machines without a display
 
@@ -128,6 +145,7 @@ class DemoCommand:
 
 Command = (
     RunCommand
+    | LiveCommand
     | CheckCommand
     | MeshCommand
     | VideoCommand
@@ -155,6 +173,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return experiment(command)
         if isinstance(command, CheckCommand):
             return check(command)
+        if isinstance(command, LiveCommand):
+            return live(command)
         if isinstance(command, VideoCommand):
             return video(command)
         from . import commands
@@ -185,6 +205,7 @@ def parse(argv: list[str]) -> Command:
     # tyro has one union of all commands, each with the defaults that --config gives
     commands = (
         Annotated[RunCommand, subcommand("run", default=RunCommand(tyro.MISSING, settings))]
+        | Annotated[LiveCommand, subcommand("live", default=LiveCommand(settings=settings))]
         | Annotated[CheckCommand, subcommand("check")]
         | Annotated[MeshCommand, subcommand("mesh")]
         | Annotated[VideoCommand, subcommand("video", default=VideoCommand(tyro.MISSING, settings))]

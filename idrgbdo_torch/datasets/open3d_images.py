@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import IdRgbdoError
+from ..open3d_loader import load_open3d
 from .calibration import Calibration, find_calibration
 from .recording import RawPair
 
@@ -38,6 +42,18 @@ def calibration_of(intrinsics: Any, camera: Path | None) -> Calibration:
         width=int(intrinsics.width),
         height=int(intrinsics.height),
     )
+
+
+@contextmanager
+def open3d_speaks(who: str) -> Iterator[None]:
+    """Keep Open3D's sensors from printing; raises IdRgbdoError with one plain line for what they raise in colours."""
+    utility = load_open3d().utility
+    try:
+        with utility.VerbosityContextManager(utility.VerbosityLevel.Error):
+            yield
+    except RuntimeError as error:
+        text = " ".join(re.sub(r"\x1b\[[\d;]*m", "", str(error)).split())
+        raise IdRgbdoError(f"sensor: {who} failed: {text}; try it with its maker's viewer") from error
 
 
 def _array(image: Any) -> NDArray[Any]:

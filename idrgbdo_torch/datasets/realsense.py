@@ -13,7 +13,7 @@ from ..frame import BrokenFrame, RgbdFrame
 from ..open3d_loader import load_open3d
 from ..trajectory import Trajectory
 from .builder import FrameBuilder, depth_warnings
-from .open3d_images import calibration_of, raw_pair
+from .open3d_images import calibration_of, open3d_speaks, raw_pair
 from .recording import Options
 
 INDEX_POSITION = b"index_pos="  # in the header of a bag: where its topics are listed
@@ -43,8 +43,10 @@ class RealSenseRecording:
     def __init__(self, path: Path, options: Options, reader: Any = None) -> None:
         """reader: an object like Open3D's RSBagReader, for tests. Raises IdRgbdoError for a file it cannot play."""
         self._path = path
-        self._reader = load_open3d().t.io.RSBagReader() if reader is None else reader
-        if not self._reader.open(str(path)):
+        with open3d_speaks(f"reading {path}"):
+            self._reader = load_open3d().t.io.RSBagReader() if reader is None else reader
+            opened = self._reader.open(str(path))
+        if not opened:
             raise IdRgbdoError(f"{path}: expected a RealSense recording, Open3D cannot open it; record it again")
         metadata = self._reader.metadata
         total = max(1, round(metadata.stream_length_usec * 1e-6 * metadata.fps))
@@ -113,7 +115,8 @@ class RealSenseRecording:
     def _skip_to(self, number: int) -> tuple[float, Any] | None:
         """Time and image of frame `number`; None where the recording ends before."""
         while True:
-            image = self._reader.next_frame()
+            with open3d_speaks(f"reading {self._path}"):
+                image = self._reader.next_frame()
             if image.is_empty():
                 return None
             self._next += 1

@@ -88,7 +88,7 @@ class _Bag:
         if name is not None:
             found = [c for c in images if c.topic == name]
         elif kind == "depth":
-            found = [c for c in images if "depth" in c.topic]
+            found = [c for c in images if "depth" in c.topic.lower()]
             found.sort(key=lambda c: (not REGISTERED.search(c.topic), c.msgtype != IMAGE_TYPES[0], len(c.topic)))
         else:
             found = [c for c in images if not NO_COLOR.search(c.topic)]
