@@ -7,6 +7,7 @@ import shlex
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ ROOT = Path(__file__).parent.parent
 README = ROOT / "README.md"
 PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+COMMANDS = {command.__name__.removesuffix("Command").lower() for command in get_args(cli.Command)}
 VARIABLES = {"$kind": "desk"}
 
 
@@ -78,7 +80,7 @@ def test_every_command_and_flag_exists(page: Path, monkeypatch: pytest.MonkeyPat
 @each_page
 def test_every_command_and_flag_named_in_the_text_exists(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shown = ""
-    for command in ("run", "demo", "synth", "evaluate", "compare"):
+    for command in COMMANDS:
         with pytest.raises(SystemExit):
             cli.main([command, "--help"])
         shown += capsys.readouterr().out
@@ -87,7 +89,7 @@ def test_every_command_and_flag_named_in_the_text_exists(page: Path, capsys: pyt
     flags = set(re.findall(r"(?<!\S)--[\w.-]+", code))
     assert flags <= known, f"no such flag: {sorted(flags - known)}"
     named = {name for name in re.findall(r"`idrgbdo ([a-z]+)", page.read_text())}
-    assert named <= {"run", "demo", "synth", "evaluate", "compare"}
+    assert named <= COMMANDS
 
 
 @each_page

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from conftest import ROOT
 from rendered import Film
+from test_readme import blocks
 
 from idrgbdo_torch import BrokenFrame, IdRgbdo, Status, cli, run
 from idrgbdo_torch.errors import IdRgbdoError
@@ -160,3 +163,22 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 def test_no_viewer_unless_asked() -> None:
     with open_viewer("desk", window=False, save=None) as viewer:
         assert viewer is None
+
+
+def test_the_page_s_example_runs(
+    make_recording: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    pytest.importorskip("rerun")
+    monkeypatch.chdir(make_recording(name="my_recording").parent)
+    (example,) = blocks(ROOT / "docs" / "viewer.md", "python")
+    exec(example, {})
+    assert len(read(Path("run.rrd"))["/world/camera"]) == 4
+
+
+def test_the_page_names_what_is_there(shown: Shown) -> None:
+    page = (ROOT / "docs" / "viewer.md").read_text()
+    named = set(re.findall(r"`((?:world|entropy|numbers|log)[\w/]*)`", page))
+    there = {name.removeprefix("/") for name in shown.rows}
+    assert len(named) >= 10
+    for name in named:
+        assert any(entity == name or entity.startswith(f"{name}/") for entity in there), name
