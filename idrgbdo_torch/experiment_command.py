@@ -81,6 +81,11 @@ def _lab(command: ExperimentCommand, only_cost: bool) -> Lab:
         clips = setup.recorded_clips(command.data, command.sequences, most)
     else:
         raise IdRgbdoError("experiment: expected either --rendered or --data FOLDER; see `idrgbdo download tum`")
+    paper = setup.paper_config(command.paper)
+    if paper is None:
+        sys.stderr.write(
+            "warning: no configs/paper.toml here; without --paper FILE the rows of its settings are left out\n"
+        )
     return Lab(
         clips,
         command.out,
@@ -88,7 +93,7 @@ def _lab(command: ExperimentCommand, only_cost: bool) -> Lab:
         rendered=command.rendered,
         quick=command.quick,
         seeds=command.seeds or (setup.QUICK_SEEDS if command.quick else setup.SEEDS),
-        paper=setup.paper_config(command.paper),
+        paper=paper,
         progress=_progress,
     )
 

@@ -133,15 +133,19 @@ def window_case(scene: Scene, points: int, keyframes: int) -> Case:
     return optimise
 
 
-def median_ms(case: Case, repeats: int) -> float:
-    """The median time of a call, after two that do not count."""
-    times = []
+def median_ms(cases: Sequence[Case], repeats: int) -> list[float]:
+    """The median time of a call of each case. They take turns, so that whatever else the machine does hits all alike.
+
+    The first two rounds do not count.
+    """
+    times: list[list[float]] = [[] for _ in cases]
     for number in range(repeats + 2):
-        begin = time.perf_counter_ns()
-        case()
-        if number >= 2:
-            times.append((time.perf_counter_ns() - begin) / 1e6)
-    return median(times)
+        for case, own in zip(cases, times, strict=True):
+            begin = time.perf_counter_ns()
+            case()
+            if number >= 2:
+                own.append((time.perf_counter_ns() - begin) / 1e6)
+    return [median(own) for own in times]
 
 
 def _keyframe(scene: Scene, config: Config) -> Keyframe:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from statistics import fmean
 from typing import TYPE_CHECKING, get_args
 
 from ..config import Config, Mode
+from ..errors import IdRgbdoError
 from .drawing import ERROR_BAR, MODE_COLORS, new_figure, ticks_at
 from .lab import Lab, Report, Table, interval
 from .task import Clip, Measured, Task
@@ -38,7 +39,7 @@ class Point:
 def run(lab: Lab) -> Report:
     """Measure, and hold the order of the modes against the paper's."""
     points = survey(lab)
-    rows = tuple((p.mode, p.points, p.k2fe_m, p.half_width_m, p.lost_percent, _paired(p)) for p in points)
+    rows = tuple((p.mode, p.points, p.k2fe_m, p.half_width_m, p.lost_percent, _mean_mm(p)) for p in points)
     columns = ("mode", "points", "accumulated K2FE m", "95 % interval +- m", "lost %", "mean K2FE mm")
     per_sequence = tuple(
         (point.mode, point.points, clip.name, *interval([1000 * _k2fe(run) for run in runs]))
@@ -51,9 +52,20 @@ def run(lab: Lab) -> Report:
             "fig3": Table(columns, rows),
             "fig3_sequences": Table(("mode", "points", "sequence", "K2FE mm", "95 % interval +- mm"), per_sequence),
         },
-        tuple(findings(points)),
+        (*_left_out(lab, points), *findings(points)),
         lambda: draw(points),
     )
+
+
+def _left_out(lab: Lab, points: Sequence[Point]) -> list[str]:
+    """Which sequences could not be counted."""
+    counted = {clip.name for clip, _ in points[0].runs}
+    missing = [clip.name for clip in lab.clips if clip.name not in counted]
+    return [f"left out, since some run has no K2FE there: {', '.join(missing)}"] if missing else []
+
+
+def _mean_mm(point: Point) -> float:
+    return 1000 * fmean(_k2fe(run) for _, runs in point.runs for run in runs)
 
 
 def survey(lab: Lab) -> list[Point]:
@@ -69,18 +81,26 @@ def survey(lab: Lab) -> list[Point]:
     }  # fmt: skip
     tasks = [task for clips in plan.values() for of_clip in clips.values() for task in of_clip]
     results = dict(zip(tasks, lab.measure(tasks), strict=True))
+    blind = {task.clip.name for task, run in results.items() if run.k2fe_mean_m is None}
     points = []
     for (mode, count), clips in plan.items():
-        runs = {clip: tuple(results[task] for task in of_clip) for clip, of_clip in clips.items()}
+        runs = {
+            clip: tuple(results[task] for task in of_clip) for clip, of_clip in clips.items() if clip.name not in blind
+        }
+        if not runs:
+            raise IdRgbdoError(f"fig3: every sequence has a run without any K2FE ({_why(results.values())})")
         points.append(_point(mode, count, runs))
     return points
 
 
+def _why(runs: Iterable[Measured]) -> str:
+    return next((run.error for run in runs if run.error), "no reference poses, or nothing was tracked")
+
+
 def configured(mode: Mode, points: int) -> Config:
-    """The defaults with another selection; the window gets as many points as the tracking."""
+    """The defaults with another selection, as `idrgbdo run --selection.mode ... --selection.points ...` has it."""
     config = Config()
-    selection = replace(config.selection, mode=mode, points=points)
-    return replace(config, selection=selection, window=replace(config.window, points=points))
+    return replace(config, selection=replace(config.selection, mode=mode, points=points))
 
 
 def _point(mode: Mode, points: int, runs: Mapping[Clip, tuple[Measured, ...]]) -> Point:
@@ -93,11 +113,8 @@ def _point(mode: Mode, points: int, runs: Mapping[Clip, tuple[Measured, ...]]) -
 
 def _k2fe(run: Measured) -> float:
     """Mean over the frames that were tracked; lost ones count as the others do."""
-    return run.k2fe_mean_m if run.k2fe_mean_m is not None else float("nan")
-
-
-def _paired(point: Point) -> float:
-    return 1000 * fmean(_k2fe(run) for _, runs in point.runs for run in runs)
+    assert run.k2fe_mean_m is not None  # sequences without it are left out
+    return run.k2fe_mean_m
 
 
 def findings(points: Sequence[Point]) -> list[str]:

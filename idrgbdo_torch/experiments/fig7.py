@@ -26,16 +26,17 @@ def run(lab: Lab) -> Report:
 def survey(repeats: int, points: Sequence[int] = cost.POINTS, shrink: int = 1) -> list[Row]:
     """The rows of the table."""
     scene = cost.pair(shrink)
-    rows = []
-    for count in points:
-        cases = (
+    cases = [
+        case
+        for count in points
+        for case in (
             cost.tracking_case(scene, count),
             cost.selection_case(scene, count),
             cost.tracking_case(scene, count, select=True),
         )
-        tracking, selection, both = (cost.median_ms(case, repeats) for case in cases)
-        rows.append((count, tracking, selection, both))
-    return rows
+    ]
+    times = iter(cost.median_ms(cases, repeats))
+    return [(count, next(times), next(times), next(times)) for count in points]
 
 
 def report(rows: Sequence[Row]) -> Report:

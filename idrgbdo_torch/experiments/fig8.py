@@ -35,12 +35,10 @@ def survey(
 ) -> list[Row]:
     """The rows of the table."""
     scene = cost.window_scene(max(keyframes), shrink)
-    rows = []
-    for count in points:
-        for size in keyframes:
-            case = cost.window_case(scene, count, size)
-            rows.append((count, size, cost.median_ms(case, repeats), int(case())))
-    return rows
+    sizes = [(count, size) for count in points for size in keyframes]
+    cases = [cost.window_case(scene, *size) for size in sizes]
+    times = cost.median_ms(cases, repeats)
+    return [(*size, ms, int(case())) for size, ms, case in zip(sizes, times, cases, strict=True)]
 
 
 def report(rows: Sequence[Row]) -> Report:
