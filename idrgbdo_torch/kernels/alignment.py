@@ -5,14 +5,14 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
+from .compiled import kernel
 from .lie import log_se3, retract
 from .linear import solve_spd
 from .linearisation import linearise
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def robust_scale(rms):
     """1.4826 MAD-like scale of the points' whitened rms, with a median rms of 0.9 counting as 1."""
     seen = np.sort(rms)
@@ -22,7 +22,7 @@ def robust_scale(rms):
     return max(seen[(first + seen.shape[0]) // 2] / 0.9, 0.5)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def align(
     images, depth, cams, points, index_coarse, index_fine, T0, affine0, prior, T_prior_inv, affine_prior, noise, steps
 ):
@@ -123,7 +123,7 @@ def align(
     return T, affine, H, rms, scale, total, seen, kept, change
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def prior_terms(H, b, T, affine, affine_centre, prior, T_prior_inv, affine_prior):
     """Add the motion prior (Eq. 19) and the brightness prior to H and b; returns their energy."""
     from_prior = log_se3(T @ T_prior_inv)
@@ -145,7 +145,7 @@ def prior_terms(H, b, T, affine, affine_centre, prior, T_prior_inv, affine_prior
     return energy
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def brightness_information(H, prior):
     """(2, 2) information of the brightness with the pose marginalised under its prior; zero where that fails."""
     A = H[:6, :6] + prior

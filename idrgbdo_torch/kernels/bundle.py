@@ -6,8 +6,8 @@ from math import exp, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from .compiled import kernel
 from .lie import adjoint, inverse
 from .model import PATTERN_U, PATTERN_V, distortion_weight, photometric_variance
 from .sampling import sample, sample_inverse_depth
@@ -24,7 +24,7 @@ class WindowPoints(NamedTuple):
     valid: np.ndarray  # (K, N) bool
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def linearise_window(
     images, depths, slots, cam, T_cam_world, T_linear, affine, inv_depth, points, hosts, limit, noise,
     H, b, Hd, cross, bd, rms
@@ -247,7 +247,7 @@ def linearise_window(
     return energy
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def eliminate_depths(H, b, Hd, cross, bd):
     """Schur complement of the inverse depths, whose block is diagonal: (8K, 8K) and (8K,) of poses and brightness."""
     n = H.shape[0]

@@ -5,14 +5,14 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
+from .compiled import kernel
 from .linear import solve_spd
 from .model import PATTERN_U, PATTERN_V
 from .sampling import sample
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gradient_squared(image):
     """Squared central-difference gradient, zero on the border."""
     height, width = image.shape
@@ -25,7 +25,7 @@ def gradient_squared(image):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def block_thresholds(gradient2, block, offset):
     """Region-adaptive threshold: median gradient of a block plus offset, smoothed 3x3; squared like the gradient."""
     height, width = gradient2.shape
@@ -60,7 +60,7 @@ def block_thresholds(gradient2, block, offset):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fit_plane(depth, u, v, radius, sigma):
     """Inverse depth at pixel (u, v) from a plane through its neighbourhood.
 
@@ -108,7 +108,7 @@ def fit_plane(depth, u, v, radius, sigma):
     return True, centre + fit[0], fit[1], fit[2]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def grid_candidates(gradient2, thresholds, block, edges, depth, cell, border, radius, sigma):
     """One candidate a grid cell, the best of three tiers: Canny edge, above threshold, weaker area (section 4.1).
 
@@ -156,7 +156,7 @@ def grid_candidates(gradient2, thresholds, block, edges, depth, cell, border, ra
     return uv[:count], inv_depth[:count], tiers[:count]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def planes_at(depth, uv, radius, sigma):
     """fit_plane at many pixels: (valid (N,), inverse depth (N,))."""
     n = uv.shape[0]
@@ -167,7 +167,7 @@ def planes_at(depth, uv, radius, sigma):
     return valid, inv_depth
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sample_patches(images, uv, pixels):
     """Reference intensities (L, N, P) and gradients (L, N, P, 2)."""
     levels = len(images)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import exp, log, sqrt
 
 import numpy as np
-from numba import njit
 
+from .compiled import kernel
 from .linear import inverse_spd
 from .model import PATTERN_U, distortion_weight, photometric_variance
 from .sampling import sample, sample_inverse_depth
@@ -14,7 +14,7 @@ from .sampling import sample, sample_inverse_depth
 GRADIENT_NOISE = 0.25  # squared gradient of pure noise over var_intensity, the sensor's share of which is a quarter
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def whitened_rows(cam, width, height, margin, points, index, T, noise):
     """Rows A (M, 3, 6) whose A^T A is a point's information at pose T, and who is seen: the margin inside the image.
 
@@ -93,7 +93,7 @@ def whitened_rows(cam, width, height, margin, points, index, T, noise):
     return A, seen, where
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gain_bits(A, C, AC):
     """1/2 log2 det(I_3 + A C A^T): what one point adds, in bits (Eq. 17)."""
     for r in range(3):
@@ -114,7 +114,7 @@ def gain_bits(A, C, AC):
     return 0.5 * log(max(det, 1.0)) / log(2.0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def select(A, seen, where, radius, m, information, spread, c_z, distance):
     """Algorithm 1 over whitened rows, lazily: a gain can only shrink as points join, so a stale gain is a bound.
 
@@ -181,7 +181,7 @@ def select(A, seen, where, radius, m, information, spread, c_z, distance):
     return chosen[:count]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def largest(value):
     """Index of the largest value, the first of equals."""
     best = 0
@@ -191,7 +191,7 @@ def largest(value):
     return best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def shrink(C, a):
     """Sherman-Morrison, in place: the covariance after one more whitened row a (6,)."""
     Ca = np.zeros(6)
@@ -205,7 +205,7 @@ def shrink(C, a):
             C[i, j] -= Ca[i] * Ca[j] / inner
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def close(free, where, best, distance2):
     """Take the chosen point and everything closer than the distance out of the race."""
     for i in range(free.shape[0]):
@@ -216,7 +216,7 @@ def close(free, where, best, distance2):
                 free[i] = False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def verify(image, depth, cam, level, points, patch, index, T, affine, noise, limit):
     """How many points a pose explains: (seen, agreeing in brightness, with depth, agreeing in depth).
 

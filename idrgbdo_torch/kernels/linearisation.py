@@ -5,13 +5,13 @@ from __future__ import annotations
 from math import exp, sqrt
 
 import numpy as np
-from numba import njit
 
+from .compiled import kernel
 from .model import PATTERN_U, PATTERN_V, distortion_weight, photometric_variance
 from .sampling import sample, sample_inverse_depth
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def linearise(image, depth, cam, level, points, index, pixels, T, affine, scale, limit, noise, H, b, rms):
     """Normal equations of one level at one pose.
 

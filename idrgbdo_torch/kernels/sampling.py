@@ -5,10 +5,11 @@ from __future__ import annotations
 from math import floor
 
 import numpy as np
-from numba import njit
+
+from .compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sample(image, u, v):
     """Bilinear value and central-difference gradient, (valid, value, g_u, g_v), at pixel (u, v)."""
     height, width = image.shape
@@ -43,7 +44,7 @@ def sample(image, u, v):
     return True, value, g_u, g_v
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sample_inverse_depth(depth, u, v, agreement):
     """Bilinear inverse depth and its gradient, (valid, d, g_u, g_v); valid where the four neighbours agree."""
     height, width = depth.shape
