@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -63,7 +64,7 @@ class Frame:
     depth: Image  # (H, W) float32 m
     color: Tensor | None = None
 
-    @property
+    @cached_property
     def intrinsics(self) -> Image:
         """(L, 4) float64: fx fy cx cy of every level."""
         cameras = [self.camera.at_level(level) for level in range(len(self.images))]

@@ -21,7 +21,7 @@ FLOORS = (
     {"odometry", "methods"},
     {"photometric"},  # measurement
     {"selection", "tracking", "keyframe", "marginalization"},  # decisions
-    {"candidates", "window", "mapping"},
+    {"candidates", "verification", "window", "mapping"},
     {"id_rgbdo"},  # system
     {"datasets", "synthetic", "evaluation", "figures"},  # world
     {"runfolder"},
