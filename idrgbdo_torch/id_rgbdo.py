@@ -151,7 +151,7 @@ class IdRgbdo:
         return self.window.keyframes[-1]
 
     def _start_segment(self, frame: Frame, reason: str) -> TrackResult:
-        """Begin at the last pose: the first frame, or one after too many lost ones. It needs points, else it is lost."""
+        """Begin at the last pose: the first frame, or one after too many lost ones; lost where it lacks points."""
         keyframe = make_keyframe(frame, self.config, self.rng)
         if len(keyframe.points.uv) < FEWEST_CANDIDATES:
             return self._hold(frame, reason)
