@@ -91,7 +91,7 @@ class Keyframe:
     """A frame with its candidate points (struct of arrays); its pose lives in the window."""
 
     frame: Frame
-    points: Points  # inverse depths as refined so far
+    points: Points  # inverse depths as refined so far; patches of coarse levels only where `coarse` says
     measured: Image  # (N,) 1/m, the sensor's own inverse depths
     measured_variance: Image  # (N,) (1/m)^2
     radius: Image  # (N,) distance to the principal point over the largest one

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from .candidates import all_patches
 from .frame import LEVELS, Frame, Keyframe
 from .kernels import choice
 from .kernels.model import Noise
@@ -121,6 +122,7 @@ def recover(
     """
     free = np.diag([1e-2] * 6)
     everyone = np.arange(len(keyframe.points.uv))
+    keyframe = all_patches(keyframe)
     best: tuple[Tracked, Verdict] | None = None
     for guess in guesses:
         tracked = track_frame(frame, keyframe, guess, affine, index, everyone, free, noise, LEVELS)
