@@ -165,7 +165,7 @@ def grid_candidates(gradient2, thresholds, block, edges, depth, cell, border, ra
                     count += 1
                     break
                 tried[best] = -1.0
-                best = np.argmax(tried[: wide * high])
+                best = int(np.argmax(tried[: wide * high]))
                 best_value = tried[best]
     return uv[:count], inv_depth[:count], tiers[:count]
 
