@@ -24,7 +24,8 @@ FLOORS = (
     {"alignment"},
     {"torch_backend"},
     {"selection", "tracking", "keyframe", "marginalization"},  # decisions
-    {"candidates", "window", "mapping", "mesh", "informative"},
+    {"candidates", "mapping"},
+    {"verification", "window", "mesh", "informative"},
     {"id_rgbdo"},  # system
     {"datasets", "synthetic", "evaluation", "figures", "download"},  # world
     {"runfolder", "source", "checkpoint", "live"},
