@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -24,8 +24,9 @@ from .se3 import inverse, log, retract
 from .solver import solve
 
 STEPS = (8, 10, 12, 12)  # most iterations per level, finest first
-SETTLED = 0.03  # standard deviations; a smaller step ends a level
+SETTLED, SETTLED_COARSE = 0.1, 1.0  # standard deviations; a smaller step ends the finest level, or a coarse one
 FLOOR = 1e-9  # added to the diagonal: a direction that nothing measures does not move
+NOTHING = torch.zeros(0)
 AFFINE_SIGMA = (0.1, 10.0)  # of gain and gray levels, about the guess
 
 
@@ -121,39 +122,50 @@ def align_pairs(
 def descend(problems: Sequence[Problem], prior: Prior, noise: ResidualNoise) -> Estimate:
     """Damped Gauss-Newton from the prior's pose over the levels, finest first in `problems`, coarsest first in time.
 
-    Each pair has its own damping, and rests once it has settled. On the finest level a second round works with the
-    outlier limit that the first has found. The brightness that the many points of level 1 agree on is the prior of the
-    finest.
+    Each pair has its own damping, and rests once it has settled. A level takes the scale of its residuals from the one
+    before; the finest has other points, so it finds its own, and a second round works with the outlier limit from the
+    first. The brightness that the many points of level 1 agree on is the prior of the finest.
     """
-    T, affine = prior.T_target_host, prior.affine
-    B = len(T)
-    scale, change = torch.ones(B, dtype=torch.float64), torch.zeros(B, dtype=torch.float64)
-    iterations = torch.zeros(B, dtype=torch.int64)
+    B, last = len(prior.affine), len(problems) - 1
+    found = _Found(prior.T_target_host, prior.affine, torch.zeros(B, dtype=torch.int64), prior.affine.new_zeros(B))
+    scale = prior.affine.new_ones(B)
     for level in reversed(range(len(problems))):
         problem = problems[level]
+        if level in (0, last):  # other points, or none so far to tell the scale
+            first = linearise_pairs(problem.points, problem.target, found.T, found.affine, noise, pixels=problem.pixels)
+            found = replace(found, rms=first.rms)
         for _ in range(1 if level > 0 else 2):
-            first = linearise_pairs(problem.points, problem.target, T, affine, noise, pixels=problem.pixels)
-            scale = robust_scale(first.rms)
-            T, affine, count, change = _search(problem, T, affine, prior, noise, scale, change)
-            iterations = iterations + count
+            scale = robust_scale(found.rms)
+            found = _search(problem, found, prior, noise, scale, SETTLED if level == 0 else SETTLED_COARSE)
         if level == 1:
-            here = _system(problem, T, affine, noise, scale)
-            learnt = brightness_information(here.H, prior.information)
-            prior = Prior(prior.T_target_host, prior.information, affine, prior.affine_information + learnt)
-    return Estimate(T, affine, prior, scale, iterations, change)
+            learnt = brightness_information(found.H, prior.affine_information)
+            prior = replace(prior, affine=found.affine, affine_information=learnt)
+    return Estimate(found.T, found.affine, prior, scale, found.iterations, found.change)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Where a search has got to."""
+
+    T: Tensor  # (B, 4, 4)
+    affine: Tensor  # (B, 2)
+    iterations: Tensor  # (B,) so far
+    change: Tensor  # (B,) the last step in standard deviations
+    rms: Tensor = NOTHING  # (B, N) of the points at the last pose that was tried
+    H: Tensor = NOTHING  # (B, 8, 8) at the pose, prior included
 
 
 def _search(
-    problem: Problem, T: Tensor, affine: Tensor, prior: Prior, noise: ResidualNoise, scale: Tensor, change: Tensor
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """One level: pose, brightness, iterations (B,) and the last step (B,) in standard deviations."""
+    problem: Problem, start: _Found, prior: Prior, noise: ResidualNoise, scale: Tensor, settled: float
+) -> _Found:
+    """One round on one level."""
+    T, affine, change, count = start.T, start.affine, start.change, start.iterations
     system = _system(problem, T, affine, noise, scale)
     H, b, energy = with_prior(system, T, affine, prior)
-    seen = system.seen.sum(-1)
+    rms, seen = system.rms, system.seen.sum(-1)
     eye = torch.eye(8, dtype=H.dtype)
     damping = torch.zeros_like(energy)
     active = torch.ones_like(energy, dtype=torch.bool)
-    count = torch.zeros_like(seen)
     for _ in range(problem.steps):
         count = count + active
         solution = solve(H + FLOOR * eye, b, damping)
@@ -163,6 +175,7 @@ def _search(
         T_new, affine_new = retract(step[:, :6], T), affine + step[:, 6:]
         system = _system(problem, T_new, affine_new, noise, scale)
         H_new, b_new, energy_new = with_prior(system, T_new, affine_new, prior)
+        rms = torch.where(active[:, None], system.rms, rms)
         seen_new = system.seen.sum(-1)
         # a point that leaves the image must not look like a gain
         lost = (seen - seen_new).clamp(min=0) * problem.pixels
@@ -173,10 +186,10 @@ def _search(
         energy, seen = torch.where(take, energy_new, energy), torch.where(take, seen_new, seen)
         shrunk = torch.where(damping < 4e-4, 0.0, 0.25 * damping)
         damping = torch.where(better, shrunk, (4 * damping).clamp(min=0.1))
-        active = active & (better | (damping <= 1e4)) & (change >= SETTLED)
+        active = active & (better | (damping <= 1e4)) & (change >= settled)
         if not bool(active.any()):
             break
-    return T, affine, count, change
+    return _Found(T, affine, count, change, rms, H)
 
 
 def _system(problem: Problem, T: Tensor, affine: Tensor, noise: ResidualNoise, scale: Tensor) -> NormalEquations:
@@ -201,11 +214,11 @@ def pose_information(H: Tensor, affine_information: Tensor) -> Tensor:
     return 0.5 * (out + out.mT)
 
 
-def brightness_information(H: Tensor, information: Tensor) -> Tensor:
-    """(B, 2, 2) of the brightness, the pose marginalised under its prior (B, 6, 6); zero where that fails."""
-    columns = [solve(H[:, :6, :6] + information, H[:, :6, 6 + k]) for k in range(2)]
+def brightness_information(H: Tensor, least: Tensor) -> Tensor:
+    """(B, 2, 2) of the brightness, the pose marginalised from H (B, 8, 8); `least` (B, 2, 2) where that fails."""
+    columns = [solve(H[:, :6, :6], H[:, :6, 6 + k]) for k in range(2)]
     x = torch.stack([column.y for column in columns], dim=-1)  # (B, 6, 2)
     out = H[:, 6:, 6:] - H[:, 6:, :6] @ x
     out = 0.5 * (out + out.mT)
     positive = (out[:, 0, 0] > 0) & (torch.linalg.det(out) > 0) & columns[0].ok & columns[1].ok
-    return torch.where(positive[:, None, None], out, 0.0)
+    return torch.where(positive[:, None, None], out, least)

@@ -23,6 +23,7 @@ FLOORS = (
     {"batched"},
     {"alignment"},
     {"torch_backend"},
+    {"backends"},
     {"selection", "tracking", "keyframe", "marginalization"},  # decisions
     {"candidates", "mapping"},
     {"verification", "window", "mesh", "informative"},

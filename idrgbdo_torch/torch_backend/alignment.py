@@ -15,8 +15,9 @@ from .convert import Array, chosen, inverse_of_depth, matrix, pinhole, residual_
 
 
 def align(
-    images: Sequence[Array], depth: Array, cams: Array, points: Points, index_coarse: Array, index_fine: Array,
-    T0: Array, affine0: Array, prior: Array, T_prior_inv: Array, affine_prior: Array, noise: Noise, steps: Array,
+    images: Sequence[Array], depth: Array, cams: Array, points: Points, index_coarse: Array, pixels_coarse: int,
+    index_fine: Array, T0: Array, affine0: Array, prior: Array, T_prior_inv: Array, affine_prior: Array, noise: Noise,
+    steps: Array,
 ) -> tuple[Array, Array, Array, Array, float, int, int, int, float]:  # fmt: skip
     """Twin of kernels.alignment.align, with its arguments and results.
 
@@ -31,7 +32,7 @@ def align(
             fine if level == 0 else coarse,
             Target(level, torch.from_numpy(images[level])[None], camera, inverse_depth),
             int(steps[level]),
-            points.patch.shape[2],
+            points.patch.shape[2] if level == 0 else pixels_coarse,
         )
         for level in range(len(steps))
     ]

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, pad
 
+from ..errors import IdRgbdoError
 from ..image import gradient as image_gradient
 from ..points import TRACKING_PATTERN, sample_patterns
 from ..solver import solve
@@ -25,8 +26,11 @@ def gradient_squared(image: Array) -> Array:
 
 
 def block_thresholds(gradient2: Array, block: int, offset: float) -> Array:
-    """Median gradient of each block plus offset, averaged 3x3, squared."""
-    bins = torch.from_numpy(gradient2).sqrt().long().clamp(max=BINS - 1)
+    """Median gradient of each block, over every other pixel of every other row, plus offset, averaged 3x3, squared."""
+    if block % 2:
+        raise IdRgbdoError(f"block: expected an even number of px, got {block}; every other pixel counts")
+    bins = torch.from_numpy(gradient2)[::2, ::2].sqrt().long().clamp(max=BINS - 1)
+    block //= 2
     height, width = bins.shape
     rows, cols = -(-height // block), -(-width // block)
     number = (torch.arange(height) // block)[:, None] * cols + torch.arange(width) // block
@@ -52,7 +56,9 @@ def grid_candidates(
     height, width = g2.shape
     at_v, at_u = torch.arange(height) // block, torch.arange(width) // block
     limit = torch.from_numpy(thresholds)[at_v[:, None], at_u]
-    tier = torch.where(g2 > limit, 1.0 + torch.from_numpy(edges).double(), torch.where(g2 > 0.25 * limit, 0.0, -1.0))
+    tier = torch.where(
+        g2 > limit, 1.0 + (torch.from_numpy(edges) != 0).double(), torch.where(g2 > 0.25 * limit, 0.0, -1.0)
+    )
     score = torch.where((z > 0) & (tier >= 0), tier * 1e7 + g2, -1.0)[border : height - border, border : width - border]
 
     rows, cols = -(-score.shape[0] // cell), -(-score.shape[1] // cell)
@@ -79,11 +85,26 @@ def grid_candidates(
     return chosen.numpy(), take(inverse_depth.reshape(tried.shape)).numpy(), tiers.numpy()
 
 
-def sample_patches(images: Sequence[Array], uv: Array, pixels: int) -> tuple[Array, Array]:
-    """Reference intensities (L, N, P) and gradients (L, N, P, 2) float32."""
-    pyramid = [torch.from_numpy(image) for image in images]
-    patches, gradients = sample_patterns(pyramid, torch.from_numpy(uv), TRACKING_PATTERN[:pixels])
-    return torch.stack(patches).float().numpy(), torch.stack(gradients).float().numpy()
+def sample_patches(
+    images: Sequence[Array], uv: Array, index: Array, first: int, end: int, patch: Array, gradient: Array
+) -> None:
+    """Fill reference intensities (L, N, P) and gradients (L, N, P, 2) of some points on levels first to end."""
+    pyramid = [torch.from_numpy(image) for image in images[:end]]
+    patches, gradients = sample_patterns(pyramid, torch.from_numpy(uv[index]), TRACKING_PATTERN[: patch.shape[2]])
+    for level in range(first, end):
+        patch[level, index] = patches[level].float().numpy()
+        gradient[level, index] = gradients[level].float().numpy()
+
+
+def first_of_cells(cells: Array, order: Array, count: int) -> Array:
+    """At most count of the points in order: the first of each cell (N,), then the rest; indices, ascending."""
+    place = torch.empty(len(order), dtype=torch.int64)
+    place[torch.from_numpy(order)] = torch.arange(len(order))
+    cell = torch.from_numpy(cells)
+    earliest = torch.full((int(cell.max()) + 1,), len(order)).scatter_reduce(0, cell, place, "amin")
+    repeated = place != earliest[cell]
+    ranked = (repeated * len(order) + place).argsort()
+    return np.asarray(ranked[:count].sort().values)
 
 
 def _planes(depth: Tensor, uv: Tensor, radius: int, sigma: float) -> tuple[Tensor, Tensor]:

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..camera import Pinhole, inside
+from ..camera import Pinhole, backproject, inside, project
 from ..image import sample_surface, sample_with_gradient
 from ..kernels.choice import GRADIENT_NOISE
 from ..kernels.model import Noise, Points
@@ -24,6 +24,7 @@ from ..photometric import (
     warp,
 )
 from ..points import at_level
+from ..se3 import transform
 from .convert import Array, chosen, inverse_of_depth, pinhole, residual_noise
 
 
@@ -80,6 +81,17 @@ def verify(
     tolerance = 4 * (noise.var_depth + some.variance[0]).sqrt() + 0.02 * rho
     near = with_depth & ((measured - rho).abs() < tolerance)
     return int(seen.sum()), int(bright.sum()), int(with_depth.sum()), int(near.sum())
+
+
+def displacement(cam: Array, points: Points, index: Array, T_a: Array, T_b: Array) -> float:
+    """Twin of kernels.choice.displacement: mean distance in px of the points at two poses, inf if none is in front."""
+    fx, fy, cx, cy = (float(x) for x in cam)
+    camera = Pinhole(width=1, height=1, fx=fx, fy=fy, cx=cx, cy=cy)  # only the projection is asked for
+    some = chosen(points, index)
+    P = backproject(camera, some.uv[0], some.inverse_depth[0])
+    (uv_a, front_a), (uv_b, front_b) = (project(camera, transform(torch.from_numpy(T), P)) for T in (T_a, T_b))
+    apart = (uv_a - uv_b).norm(dim=-1)[front_a & front_b]
+    return float(apart.mean()) if len(apart) else float("inf")
 
 
 def _factor(G: Tensor) -> Tensor:

@@ -1,0 +1,39 @@
+"""What the tracker computes with: fused kernels, or the same functions in plain torch.
+
+Both are packages with files of the same names and functions of the same arguments. torch is the definition and some
+hundred times slower for one pair of frames; fused is what runs unless told otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Literal
+
+from .kernels import alignment, bundle, candidates, choice
+from .torch_backend import alignment as torch_alignment
+from .torch_backend import bundle as torch_bundle
+from .torch_backend import candidates as torch_candidates
+from .torch_backend import choice as torch_choice
+
+Name = Literal["fused", "torch"]
+
+
+@dataclass(frozen=True)
+class Backend:
+    """The files of one of the two packages. Algorithm 1 in torch is selection.select_informative."""
+
+    name: str
+    alignment: ModuleType  # align, robust_scale
+    bundle: ModuleType  # linearise_window, eliminate_depths
+    candidates: ModuleType  # gradient_squared, block_thresholds, grid_candidates, planes_at, sample_patches, ...
+    choice: ModuleType  # whitened_rows, verify, displacement; select in the fused one
+
+
+FUSED = Backend("fused", alignment, bundle, candidates, choice)
+TORCH = Backend("torch", torch_alignment, torch_bundle, torch_candidates, torch_choice)
+
+
+def backend(name: Name) -> Backend:
+    """The backend of that name."""
+    return {"fused": FUSED, "torch": TORCH}[name]
