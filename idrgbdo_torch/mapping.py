@@ -28,6 +28,9 @@ class Cloud:
         return len(self.xyz)
 
 
+NOTHING = Cloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
+
+
 def keyframe_cloud(keyframe: Keyframe) -> Cloud:
     """The candidates of a keyframe in its own coordinates, at their inverse depths as refined so far.
 

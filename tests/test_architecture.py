@@ -21,7 +21,8 @@ FLOORS = (
     {"odometry", "methods"},
     {"photometric"},  # measurement
     {"selection", "tracking", "keyframe", "marginalization"},  # decisions
-    {"candidates", "verification", "window", "mapping"},
+    {"candidates", "window", "mapping"},
+    {"verification"},
     {"id_rgbdo"},  # system
     {"datasets", "synthetic", "evaluation", "figures"},  # world
     {"runfolder"},
