@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from numpy.random import Generator
@@ -27,14 +29,27 @@ EVERYWHERE = 4  # px, side of a grid cell in mode "inf": as good as no grid, wit
 def make_keyframe(frame: Frame, config: Config, rng: Generator) -> Keyframe:
     """Extract the candidates of a frame and everything that tracking needs of them."""
     uv, inv_depth, tier = extract_candidates(frame, config, rng)
-    patch, gradient = fused.sample_patches(frame.images, uv, PATTERN_U.shape[0])
     camera = frame.camera
+    coarse = spread_out(uv, config.tracking.points_coarse, camera.width, camera.height)
+    levels, pixels = len(frame.images), len(PATTERN_U)
+    patch = np.zeros((levels, len(uv), pixels), np.float32)
+    gradient = np.zeros((levels, len(uv), pixels, 2), np.float32)
+    fused.sample_patches(frame.images, uv, np.arange(len(uv)), 0, 1, patch, gradient)
+    fused.sample_patches(frame.images, uv, coarse, 1, levels, patch, gradient)
     radius = np.hypot(uv[:, 0] - camera.cx, uv[:, 1] - camera.cy)
     radius /= max(radius.max(initial=0.0), 1.0)
     variance = np.full(len(uv), inverse_depth_sigma(config) ** 2)
     points = Points(uv, inv_depth, variance, patch, gradient)
-    coarse = spread_out(uv, config.tracking.points_coarse, camera.width, camera.height)
     return Keyframe(frame, points, inv_depth, variance, radius, tier, coarse)
+
+
+def all_patches(keyframe: Keyframe) -> Keyframe:
+    """The keyframe with the patches of every point on every level, as it takes to track all of them everywhere."""
+    points = keyframe.points
+    patch, gradient = points.patch.copy(), points.gradient.copy()
+    everyone = np.arange(len(points.uv))
+    fused.sample_patches(keyframe.frame.images, points.uv, everyone, 1, len(patch), patch, gradient)
+    return replace(keyframe, points=points._replace(patch=patch, gradient=gradient))
 
 
 def inverse_depth_sigma(config: Config) -> float:
@@ -57,7 +72,7 @@ def extract_candidates(frame: Frame, config: Config, rng: Generator) -> tuple[Ar
         return uv[keep], inv_depth[keep], np.zeros(len(keep), dtype=np.int64)
     gradient2 = fused.gradient_squared(frame.images[0])
     thresholds = fused.block_thresholds(gradient2, BLOCK, THRESHOLD_OFFSET)
-    edges = cv2.Canny(frame.images[0].astype(np.uint8), *CANNY, L2gradient=True) > 0
+    edges = cv2.Canny(frame.images[0].astype(np.uint8), *CANNY, L2gradient=True)
     grid = max(EVERYWHERE, round(float(np.sqrt(width * height / config.selection.candidates))))
     cell = EVERYWHERE if mode == "inf" else grid
     uv, inv_depth, tier = fused.grid_candidates(
@@ -71,7 +86,5 @@ def spread_out(uv: Array, count: int, width: int, height: int) -> Index:
     if len(uv) <= count:
         return np.arange(len(uv))
     order = np.random.default_rng(0).permutation(len(uv))
-    _, first = np.unique(grid_cells(uv[order], count, width, height), return_index=True)
-    chosen = order[first]
-    rest = np.setdiff1d(order, chosen, assume_unique=True)
-    return np.sort(np.concatenate([chosen, rest])[:count])
+    chosen: Index = fused.first_of_cells(grid_cells(uv, count, width, height), order, count)
+    return chosen

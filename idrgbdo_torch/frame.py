@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -63,7 +64,7 @@ class Frame:
     depth: Image  # (H, W) float32 m
     color: Tensor | None = None
 
-    @property
+    @cached_property
     def intrinsics(self) -> Image:
         """(L, 4) float64: fx fy cx cy of every level."""
         cameras = [self.camera.at_level(level) for level in range(len(self.images))]
@@ -90,7 +91,7 @@ class Keyframe:
     """A frame with its candidate points (struct of arrays); its pose lives in the window."""
 
     frame: Frame
-    points: Points  # inverse depths as refined so far
+    points: Points  # inverse depths as refined so far; patches of coarse levels only where `coarse` says
     measured: Image  # (N,) 1/m, the sensor's own inverse depths
     measured_variance: Image  # (N,) (1/m)^2
     radius: Image  # (N,) distance to the principal point over the largest one

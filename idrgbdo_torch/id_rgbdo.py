@@ -16,25 +16,12 @@ from .frame import Frame, Keyframe, RgbdFrame, prepare
 from .kernels.lie import inverse
 from .kernels.model import Noise
 from .keyframe import freedom_entropies_bits, wants_keyframe
-from .mapping import Cloud, condense, keyframe_cloud, world_cloud
+from .mapping import NOTHING, Cloud, condense, keyframe_cloud, world_cloud
 from .odometry import Status, TrackResult
 from .selection import point_bits, select_points
-from .tracking import (
-    LOST_BELOW,
-    RATE,
-    WEAK_BELOW,
-    Tracked,
-    kernel_noise,
-    motion_information,
-    predict,
-    recover,
-    track_frame,
-    turn_rate,
-    unsure,
-    verify,
-    with_blur,
-)
+from .tracking import RATE, Tracked, kernel_noise, motion_information, predict, turn_rate, with_blur
 from .trajectory import Trajectory
+from .verification import LOST_BELOW, WEAK_BELOW, align, unsure
 from .window import Window
 
 Array = NDArray[np.float64]
@@ -65,6 +52,7 @@ class IdRgbdo:
         self.T_previous = self.T_cam_world  # of the frame before the last, for the constant velocity
         self.dt_previous = 0.0  # s, between those two; 0 where there is no velocity
         self.pose_time = 0.0  # s, of the last pose that was measured: lost frames since then do not count
+        self.surprise_px = np.inf  # px in the image between the last frame's guess and pose
         self.turn = np.zeros(3)  # rad/s, of the last frame
         self.keyframe_turn = np.zeros(3)  # and of the keyframe
         self.affine = np.zeros(2)
@@ -78,32 +66,27 @@ class IdRgbdo:
         self.keyframe_poses: list[Array] = []  # T_kf_world of every keyframe, refined as long as it is in the window
         self.keyframe_times: list[float] = []
         self.in_window: list[int] = []  # which of them that are
-        self.clouds: list[Cloud] = []  # map points of every keyframe
+        self.clouds: list[Cloud] = []  # map points of every keyframe that has left the window
         self.last: tuple[Keyframe, Tracked] | None = None  # what the last frame was tracked against
 
     def track(self, rgbd: RgbdFrame) -> TrackResult:
         """The pose of the next frame (sections 4 and 5)."""
         frame = prepare(rgbd)
-        if self.keyframe is None or self.lost_in_a_row >= PATIENCE:
-            return self._start_segment(frame)
+        if self.keyframe is None:
+            return self._start_segment(frame, "too few points with depth and texture to start from")
         dt = frame.timestamp - self.pose_time
         dt = dt if dt > 0.0 else 1.0 / RATE  # out of order, the time says nothing
         ratio = min(dt / self.dt_previous, 3.0) if self.dt_previous > 0.0 else 0.0
         guess = predict(self.T_cam_world, self.T_previous, ratio) @ inverse(self.T_kf_world)
         prior = motion_information(self.config, dt)
-        self.turn = turn_rate(guess, self.T_cam_world @ inverse(self.T_kf_world), dt)
+        resting = self.T_cam_world @ inverse(self.T_kf_world)
+        self.turn = turn_rate(guess, resting, dt)
         noise = with_blur(self.noise, self.config.noise, frame.camera.fx, self.turn, self.keyframe_turn)
         index = self._choose(self.keyframe, guess, prior, noise)
-        tracked = track_frame(
-            frame, self.keyframe, guess, self.affine, index, self.keyframe.coarse, prior, noise,
-            self.config.tracking.levels,
+        tracked, verdict, self.surprise_px = align(
+            frame, self.keyframe, guess, resting, self.affine, index, prior, noise, self.config.tracking.levels,
+            self.surprise_px,
         )  # fmt: skip
-        verdict = verify(frame, self.keyframe, tracked, self.noise)
-        if verdict.doubt(WEAK_BELOW):
-            resting = self.T_cam_world @ inverse(self.T_kf_world)
-            again, second = recover(frame, self.keyframe, [guess, resting], self.affine, index, self.noise)
-            if second.score > verdict.score:
-                tracked, verdict = again, second
         if reason := verdict.doubt(LOST_BELOW):
             return self._lost(frame, reason)
         entropies = freedom_entropies_bits(torch.from_numpy(tracked.information))
@@ -132,9 +115,13 @@ class IdRgbdo:
         keyframe = make_keyframe(frame, self.config, self.rng)
         if len(keyframe.points.uv) < FEWEST_CANDIDATES:
             return False
+        self._adopt(keyframe)
+        return True
+
+    def _adopt(self, keyframe: Keyframe) -> None:
         self.keyframe_poses.append(self.T_cam_world)
-        self.keyframe_times.append(frame.timestamp)
-        self.clouds.append(keyframe_cloud(keyframe))
+        self.keyframe_times.append(keyframe.frame.timestamp)
+        self.clouds.append(NOTHING if self.config.window.enabled else keyframe_cloud(keyframe))
         prior = motion_information(self.config, 1.0 / 30.0)
         selection = self.config.selection
         if not selection.per_frame:
@@ -147,7 +134,6 @@ class IdRgbdo:
         self.keyframe, self.T_kf_world, self.keyframe_turn = keyframe, self.T_cam_world, self.turn
         self.affine = np.zeros(2)
         self.entropies = []
-        return True
 
     def _refine(self, keyframe: Keyframe, index: Index) -> Keyframe:
         """Add a keyframe to the window, optimise, shrink; the present pose and its velocity follow."""
@@ -155,24 +141,28 @@ class IdRgbdo:
         self.window.add(keyframe, before, self.affine, index)
         self.in_window.append(len(self.keyframe_poses) - 1)
         self.window.optimise()
-        for number, pose, refined in zip(self.in_window, self.window.T_kf_world, self.window.keyframes, strict=True):
+        for number, pose in zip(self.in_window, self.window.T_kf_world, strict=True):
             self.keyframe_poses[number] = pose
-            self.clouds[number] = keyframe_cloud(refined)
-        for k in self.window.shrink():
-            self.in_window.pop(k)
+        for k, keyframe in self.window.shrink():
+            self.clouds[self.in_window.pop(k)] = keyframe_cloud(keyframe)
         self.T_cam_world = self.window.T_kf_world[-1]
         self.T_previous = self.T_previous @ inverse(before) @ self.T_cam_world
         return self.window.keyframes[-1]
 
-    def _start_segment(self, frame: Frame) -> TrackResult:
-        """Begin at the last pose: the first frame, or the one after too many lost ones."""
+    def _start_segment(self, frame: Frame, reason: str) -> TrackResult:
+        """Begin at the last pose: the first frame, or one after too many lost ones; lost where it lacks points."""
+        keyframe = make_keyframe(frame, self.config, self.rng)
+        if len(keyframe.points.uv) < FEWEST_CANDIDATES:
+            return self._hold(frame, reason)
         first = self.keyframe is None
+        for number, old in zip(self.in_window, self.window.keyframes, strict=True):
+            self.clouds[number] = keyframe_cloud(old)
         self.window = Window(self.config, self.noise)
         self.in_window = []
         self.affine = np.zeros(2)
         self.dt_previous = 0.0
-        if not self._new_keyframe(frame):
-            return self._lost(frame, "too few points with depth and texture to start from")
+        self.surprise_px = np.inf
+        self._adopt(keyframe)
         self.segment += 0 if first else 1
         self.lost_in_a_row = 0
         self.pose_time = frame.timestamp
@@ -180,9 +170,15 @@ class IdRgbdo:
         return replace(self._result(frame, None, Status.OK if first else Status.LOST, reason), keyframe=True)
 
     def _lost(self, frame: Frame, reason: str) -> TrackResult:
-        """Stay where we were and say so."""
+        """Stay where we were and say so; after too many such frames begin anew, with this one."""
+        if self.lost_in_a_row >= PATIENCE:
+            return self._start_segment(frame, reason)
+        return self._hold(frame, reason)
+
+    def _hold(self, frame: Frame, reason: str) -> TrackResult:
         self.lost_in_a_row += 1
         self.dt_previous = 0.0
+        self.surprise_px = np.inf
         return self._result(frame, None, Status.LOST, reason)
 
     def _result(
@@ -221,7 +217,10 @@ class IdRgbdo:
 
     def map_points(self) -> tuple[Tensor, Tensor]:
         """(N, 3) float32 candidate points of all keyframes in the world, m, and their (N, 3) uint8 RGB colours."""
-        cloud = world_cloud(self.clouds, self.keyframe_poses)
+        clouds = list(self.clouds)
+        for number, keyframe in zip(self.in_window, self.window.keyframes, strict=True):
+            clouds[number] = keyframe_cloud(keyframe)
+        cloud = world_cloud(clouds, self.keyframe_poses)
         return torch.from_numpy(cloud.xyz), torch.from_numpy(cloud.rgb)
 
     def last_points(self) -> tuple[Tensor, Tensor]:

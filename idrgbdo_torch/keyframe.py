@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from math import e, pi
+
 import torch
 from torch import Tensor
 
 from .config import KeyframeConfig
-from .information import entropy_bits
 
 REFERENCE_FRAMES = 3  # the reference is the median over the first frames after the keyframe
 SURE_BITS = -0.5  # the ratio of Eq. 20 means nothing where the reference entropy is not clearly negative
@@ -18,9 +19,10 @@ def freedom_entropies_bits(information: Tensor) -> Tensor:
     The conditional covariance of Eq. 14 of one variable given the rest is 1 / Lambda_kk. A degree of freedom without
     information has infinite entropy.
     """
-    variance = 1.0 / information.double().diagonal(dim1=-2, dim2=-1)  # (..., 6)
-    entropies = entropy_bits(variance.clamp(max=1e300)[..., None, None])
-    return torch.where(variance.isfinite(), entropies, torch.inf)
+    precision = information.double().diagonal(dim1=-2, dim2=-1)  # (..., 6)
+    # Eq. 11 of one variable, written out: a Cholesky factor of a number costs as much as the whole alignment
+    entropies: Tensor = 0.5 * torch.log2(2.0 * pi * e / precision)
+    return torch.where(precision > 0.0, entropies, torch.inf)
 
 
 def entropy_decrement(entropy: Tensor, reference: Tensor) -> Tensor:
@@ -44,6 +46,8 @@ def lost_certainty(entropy: Tensor, reference: Tensor, criterion: str) -> Tensor
 
 def wants_keyframe(history: list[Tensor], config: KeyframeConfig) -> bool:
     """Whether any degree of freedom has lost too much; history: entropies (6,) tracked since the keyframe."""
-    reference = torch.stack(history[:REFERENCE_FRAMES]).median(dim=0).values
+    first = [entropies.tolist() for entropies in history[:REFERENCE_FRAMES]]
+    median = [sorted(freedom)[(len(first) - 1) // 2] for freedom in zip(*first, strict=True)]
+    reference = torch.tensor(median, dtype=torch.float64)
     threshold = config.threshold_bits if config.criterion == "bits" else config.threshold_ratio
     return bool(lost_certainty(history[-1], reference, config.criterion).max() > threshold)

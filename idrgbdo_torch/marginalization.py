@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .information import mutual_information_bits
+from .information import log2_det
 
 
 def partition(H: Tensor, b: Tensor, marginal: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -27,7 +27,10 @@ def schur_information(H_aa: Tensor, H_ab: Tensor, H_bb: Tensor) -> Tensor:
     H_star = H_aa - H_ab @ scaled_solve(H_bb, H_ab.mT)
     scale = to_unit_diagonal(H_star)
     unit = scale[:, None] * H_star * scale
-    eigenvalues, vectors = torch.linalg.eigh(0.5 * (unit + unit.mT))
+    unit = 0.5 * (unit + unit.mT)
+    if torch.linalg.cholesky_ex(unit).info == 0:  # positive definite, as it nearly always is: nothing to clip
+        return 0.5 * (H_star + H_star.mT)
+    eigenvalues, vectors = torch.linalg.eigh(unit)
     back = torch.where(scale > 0.0, 1.0 / scale, 0.0)
     clipped: Tensor = back[:, None] * ((vectors * eigenvalues.clamp(min=0.0)) @ vectors.mT) * back
     return 0.5 * (clipped + clipped.mT)
@@ -39,11 +42,15 @@ def schur_gradient(b_a: Tensor, H_ab: Tensor, H_bb: Tensor, b_b: Tensor) -> Tens
 
 
 def scaled_solve(A: Tensor, B: Tensor) -> Tensor:
-    """A^-1 B of a symmetric positive semi-definite A (n, n), by its pseudo-inverse after scaling to unit diagonal."""
+    """A^-1 B of a symmetric positive semi-definite A (n, n), scaled to unit diagonal; pseudo-inverse if singular."""
     scale = to_unit_diagonal(A)
-    inverse = torch.linalg.pinv(scale[:, None] * A * scale, rtol=1e-12, hermitian=True)
-    solution: Tensor = scale[:, None] * (inverse @ (scale[:, None] * B))
-    return solution
+    unit, right = scale[:, None] * A * scale, scale[:, None] * B
+    factor, info = torch.linalg.cholesky_ex(unit)
+    if info == 0 and (factor.diagonal() > 1e-6).all():
+        solution = torch.cholesky_solve(right, factor)
+    else:
+        solution = torch.linalg.pinv(unit, rtol=1e-12, hermitian=True) @ right
+    return scale[:, None] * solution
 
 
 def to_unit_diagonal(A: Tensor) -> Tensor:
@@ -79,15 +86,16 @@ def redundancy_bits(information: Tensor) -> Tensor:
     """Eq. (26). psi(K_j) = sum_i MI(i, j | the rest) of keyframe poses, (K,) bits, from their (6K, 6K) information.
 
     The conditional covariance of a pair given the rest is the inverse of the pair's block of the information matrix, so
-    nothing has to be inverted but 12 x 12 blocks. i = j is left out (infinite).
+    nothing has to be inverted: of a pair with information [[A, B], [B^T, D]] the mutual information is
+    1/2 log2(|A| |D| / |[[A, B], [B^T, D]]|) (Eq. 15 with the determinants of a block inverse). i = j is left out.
     """
     K = information.shape[0] // 6
-    blocks = information.reshape(K, 6, K, 6).permute(0, 2, 1, 3)  # (K, K, 6, 6)
+    scale = information.diagonal().rsqrt()  # mutual information knows no units, so scale them away
+    blocks = (scale[:, None] * information * scale).reshape(K, 6, K, 6).permute(0, 2, 1, 3)  # (K, K, 6, 6)
     i, j = torch.triu_indices(K, K, offset=1)
     top = torch.cat([blocks[i, i], blocks[i, j]], dim=-1)  # (M, 6, 12)
     bottom = torch.cat([blocks[j, i], blocks[j, j]], dim=-1)
-    pairs = torch.cat([top, bottom], dim=-2)  # (M, 12, 12)
-    scale = pairs.diagonal(dim1=-2, dim2=-1).rsqrt()  # mutual information knows no units, so scale them away
-    sigma = torch.linalg.inv(scale[..., :, None] * pairs * scale[..., None, :])
-    mutual = mutual_information_bits(0.5 * (sigma + sigma.mT), 6)
+    alone = log2_det(blocks.diagonal().permute(2, 0, 1), "information, a keyframe's block")
+    pair = log2_det(torch.cat([top, bottom], dim=-2), "information, the block of two keyframes")
+    mutual = 0.5 * (alone[i] + alone[j] - pair)
     return information.new_zeros(K).index_add(0, i, mutual).index_add(0, j, mutual)

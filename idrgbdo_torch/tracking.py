@@ -1,4 +1,4 @@
-"""Pose of a frame against its keyframe (section 4.2): prediction, prior, alignment, verification, recovery."""
+"""Pose of a frame against its keyframe (section 4.2): prediction, prior, alignment."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from .config import Config, NoiseConfig
-from .frame import LEVELS, Frame, Keyframe
+from .frame import Frame, Keyframe
 from .kernels import alignment, choice
 from .kernels.lie import inverse, log_se3, retract
 from .kernels.model import Noise
@@ -20,9 +20,6 @@ Index = NDArray[np.int64]
 STEPS = np.array([8, 10, 12, 12, 12, 12])  # most iterations per level, finest first
 AFFINE_PRIOR = np.diag([1.0 / 0.1**2, 1.0 / 10.0**2])  # of gain and gray levels, about the previous frame's
 RATE = 30.0  # Hz, at which the motion prior is given
-VERIFIED_LEVEL = 1
-VERIFIED_GRAY = 12.0  # gray levels, largest residual of a point that agrees
-GAIN_LIMIT = 1.0  # of the logarithm: with no contrast left, a black or a white image would explain everything
 
 
 def motion_prior_terms(xi_frame: Tensor, xi_predicted: Tensor, information: Tensor) -> tuple[Tensor, Tensor]:
@@ -96,11 +93,14 @@ def predict(T_a: Array, T_b: Array, ratio: float) -> Array:
 
 def track_frame(
     frame: Frame, keyframe: Keyframe, T_guess: Array, affine: Array, index: Index, coarse: Index, prior: Array,
-    noise: Noise, levels: int,
+    noise: Noise, levels: int, pixels: int = choice.PIXELS,
 ) -> Tracked:  # fmt: skip
-    """Align a frame to a keyframe from a guess of T_frame_kf, with the motion prior's information (6, 6) about it."""
+    """Align a frame to a keyframe from a guess of T_frame_kf, with the motion prior's information (6, 6) about it.
+
+    index: the points of the finest level; coarse: those of the others, with so many pixels of their patches.
+    """
     T, affine, H, rms, _scale, iterations, _seen, kept, _change = alignment.align(
-        frame.images, frame.depth, keyframe.frame.intrinsics, keyframe.points, coarse, index,
+        frame.images, frame.depth, keyframe.frame.intrinsics, keyframe.points, coarse, pixels, index,
         T_guess, affine, prior, inverse(T_guess), AFFINE_PRIOR, noise, STEPS[:levels],
     )  # fmt: skip
     return Tracked(T, affine, pose_information(H), int(kept), int(iterations), index, rms)
@@ -108,80 +108,9 @@ def track_frame(
 
 def pose_information(H: Array) -> Array:
     """(6, 6): brightness (last two) marginalised from the (8, 8) normal matrix."""
-    out: Array = H[:6, :6] - H[:6, 6:] @ np.linalg.solve(H[6:, 6:], H[6:, :6])
+    # their 2x2 block is inverted by hand: a call of LAPACK costs more than the alignment of a level
+    (p, q), (_, r) = H[6:, 6:].tolist()
+    across = H[:6, 6:]
+    solved = across @ (np.array([[r, -q], [-q, p]]) / (p * r - q * q))
+    out: Array = H[:6, :6] - solved @ across.T
     return 0.5 * (out + out.T)
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """How well a pose explains a few hundred points that did not choose it."""
-
-    visible: float  # share of the points that the frame sees
-    bright: float  # share of those with agreeing brightness
-    near: float  # share of those with depth that agree in depth
-
-    @property
-    def score(self) -> float:
-        """For the choice between two poses."""
-        return self.visible * self.bright * self.near
-
-    def doubt(self, strict: float) -> str:
-        """Why the pose is not to be believed, empty when it is; strict grows the limits towards 1."""
-        if self.visible < 0.15:
-            return f"only {self.visible:.0%} of the keyframe is in view"
-        if self.bright < strict:
-            return f"only {self.bright:.0%} of the points agree in brightness"
-        if self.near < strict + 0.12:
-            return f"only {self.near:.0%} of the points agree in depth"
-        return ""
-
-
-WEAK_BELOW = 0.61  # share of agreeing points under which a pose is doubtful
-LOST_BELOW = 0.54  # and under which it is not used
-UNSURE_BITS = -7.0  # entropy of the least certain degree of freedom, about 2 mm or 2 mrad given the others
-FREEDOMS = ("x", "y", "z", "rotation about x", "rotation about y", "rotation about z")
-
-
-def unsure(entropies: Tensor) -> str:
-    """Why a pose with these entropies (6,) in bits is doubtful however well it fits, empty when it is not."""
-    worst = int(entropies.argmax())
-    if entropies[worst] <= UNSURE_BITS:
-        return ""
-    return f"{FREEDOMS[worst]} is uncertain: {entropies[worst]:.1f} bits"
-
-
-def verify(frame: Frame, keyframe: Keyframe, tracked: Tracked, noise: Noise) -> Verdict:
-    """Hold a pose against all the spread-out points of the keyframe."""
-    coarse = keyframe.coarse
-    seen, bright, with_depth, near = choice.verify(
-        frame.images[VERIFIED_LEVEL], frame.depth, keyframe.frame.intrinsics[VERIFIED_LEVEL], VERIFIED_LEVEL,
-        keyframe.points, keyframe.points.patch[VERIFIED_LEVEL], coarse, tracked.T_frame_kf, tracked.affine, noise,
-        VERIFIED_GRAY,
-    )  # fmt: skip
-    if not (np.isfinite(tracked.T_frame_kf).all() and tracked.points >= 6):
-        return Verdict(0.0, 0.0, 0.0)
-    if abs(tracked.affine[0]) > GAIN_LIMIT:
-        bright = 0
-    few = 0 < with_depth < 12  # a frame with little depth is judged by its brightness alone, one with none is broken
-    return Verdict(seen / max(len(coarse), 1), bright / max(seen, 1), 1.0 if few else near / max(with_depth, 1))
-
-
-def recover(
-    frame: Frame, keyframe: Keyframe, guesses: list[Array], affine: Array, index: Index, noise: Noise
-) -> tuple[Tracked, Verdict]:
-    """Try again from each guess of T_frame_kf with all candidates and the widest pyramid, no prior; the best one.
-
-    The finest level keeps the chosen points `index`.
-    """
-    free = np.diag([1e-2] * 6)
-    everyone = np.arange(len(keyframe.points.uv))
-    best: tuple[Tracked, Verdict] | None = None
-    for guess in guesses:
-        tracked = track_frame(frame, keyframe, guess, affine, index, everyone, free, noise, LEVELS)
-        verdict = verify(frame, keyframe, tracked, noise)
-        if best is None or verdict.score > best[1].score:
-            best = (tracked, verdict)
-        if not best[1].doubt(WEAK_BELOW):
-            break
-    assert best is not None  # guesses is never empty
-    return best

@@ -24,8 +24,8 @@ FIXED = np.array(
     [1e10] * 3 + [1e10] * 3 + [1e6, 1e2]
 )  # information that holds the first keyframe: gauge and brightness
 BRIGHTNESS = np.array([0.0] * 6 + [1.0 / 0.2**2, 1.0 / 20.0**2])  # weak prior of every other keyframe
-ITERATIONS = 6
-SETTLED = 0.1  # standard deviations; a smaller step ends the optimisation
+ITERATIONS = 4
+SETTLED = 1.0  # standard deviations; a smaller step ends the optimisation
 TOLERANCE = (
     1.02  # a step may raise the cost so much: points crossing a limit make it jump by more than the step is worth
 )
@@ -48,6 +48,7 @@ class Window:
         self.in_prior = np.zeros(0, dtype=np.bool_)
         self.inv_depth = np.zeros((0, config.window_points))
         self.prior = LinearPrior(torch.zeros(0, 0, dtype=torch.float64), torch.zeros(0, dtype=torch.float64))
+        self.scale = 1.0  # robust scale of the whitened residuals when the last optimisation ended
         self.slots = np.zeros(0, dtype=np.int64)
         self.images = np.zeros((0, 0, 0), dtype=np.float32)
         self.depths = np.zeros((0, 0, 0), dtype=np.float32)
@@ -134,8 +135,7 @@ class Window:
             return 0
         points = self.points()
         everyone = np.ones(K, dtype=np.bool_)
-        _, system = self.linearise(points, everyone, 1e9)
-        limit = self.config.noise.outlier * max(1.0, alignment.robust_scale(system.rms.ravel()))
+        limit = self.config.noise.outlier * self.scale
         energy, system = self.linearise(points, everyone, limit)
         energy += 2.0 * float(prior_cost(self.prior, self.deviation()))
         damping = 0.0
@@ -165,6 +165,7 @@ class Window:
                 damping = max(4.0 * damping, 1e-2)
             if step @ b < SETTLED**2:
                 break
+        self.scale = max(1.0, alignment.robust_scale(system.rms.ravel()))
         self._refresh_points(system)
         self.system = system
         return iteration
@@ -181,13 +182,13 @@ class Window:
                 keyframe, points=keyframe.points._replace(inv_depth=inv_depth, var_inv_depth=variance)
             )
 
-    def shrink(self) -> list[int]:
-        """Marginalise keyframes until at most window.keyframes are left; returns their positions at removal."""
+    def shrink(self) -> list[tuple[int, Keyframe]]:
+        """Marginalise keyframes until at most window.keyframes are left; returns them, with their places at removal."""
         removed = []
         while len(self.keyframes) > self.config.window.keyframes:
             k = self.least_useful()
+            removed.append((k, self.keyframes[k]))
             self.marginalise(k)
-            removed.append(k)
         return removed
 
     def least_useful(self) -> int:

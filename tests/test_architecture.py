@@ -25,6 +25,7 @@ FLOORS = (
     {"torch_backend"},
     {"selection", "tracking", "keyframe", "marginalization"},  # decisions
     {"candidates", "window", "mapping", "mesh", "informative"},
+    {"verification"},
     {"id_rgbdo"},  # system
     {"datasets", "synthetic", "evaluation", "figures", "download"},  # world
     {"runfolder", "source", "checkpoint", "live"},

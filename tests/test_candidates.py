@@ -34,7 +34,8 @@ def slow_thresholds(g2: np.ndarray) -> np.ndarray:
     rows, cols = (-(-n // BLOCK) for n in g2.shape)
     raw = np.empty((rows, cols))
     for r, c in np.ndindex(rows, cols):
-        size = np.minimum(63, np.floor(np.sqrt(g2[r * BLOCK : (r + 1) * BLOCK, c * BLOCK : (c + 1) * BLOCK]))).ravel()
+        block = g2[r * BLOCK : (r + 1) * BLOCK : 2, c * BLOCK : (c + 1) * BLOCK : 2]
+        size = np.minimum(63, np.floor(np.sqrt(block))).ravel()
         raw[r, c] = np.sort(size)[len(size) // 2] + THRESHOLD_OFFSET
     smooth = [[raw[max(0, r - 1) : r + 2, max(0, c - 1) : c + 2].mean() for c in range(cols)] for r in range(rows)]
     return np.square(smooth)
@@ -136,14 +137,16 @@ def test_one_candidate_a_cell_the_strongest_of_its_best_tier(frame: Frame) -> No
 
 def test_patches_are_samples_of_every_level(frame: Frame) -> None:
     uv = np.random.default_rng(0).uniform([60, 60], [260, 180], (40, 2))
-    patch, g = fused.sample_patches(frame.images, uv, 8)
+    patch, g = np.zeros((4, 40, 8), np.float32), np.zeros((4, 40, 8, 2), np.float32)
+    fused.sample_patches(frame.images, uv, np.arange(40), 0, 4, patch, g)
     for level in range(4):
         at = ((uv + 0.5) * 0.5**level - 0.5)[:, None] + np.stack([PATTERN_U, PATTERN_V], axis=1)
         value, slope, valid = sample_with_gradient(torch.from_numpy(frame.images[level]), torch.from_numpy(at))
         assert valid.all()
         torch.testing.assert_close(torch.from_numpy(patch[level]), value.float())
         torch.testing.assert_close(torch.from_numpy(g[level]), slope.float(), rtol=1e-5, atol=1e-4)
-    corner, _ = fused.sample_patches(frame.images, np.array([[4.0, 4.0]]), 8)
+    corner, g = np.zeros((6, 1, 8), np.float32), np.zeros((6, 1, 8, 2), np.float32)
+    fused.sample_patches(frame.images, np.array([[4.0, 4.0]]), np.arange(1), 0, 6, corner, g)
     assert np.isfinite(corner).all() and (corner > 0).all()
 
 

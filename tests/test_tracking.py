@@ -26,9 +26,9 @@ from idrgbdo_torch.tracking import (
     predict,
     track_frame,
     turn_rate,
-    unsure,
     with_blur,
 )
+from idrgbdo_torch.verification import unsure
 
 
 def twists(*shape: int, seed: int = 0, size: float = 1.0) -> Tensor:

@@ -14,7 +14,8 @@ from tracking_cases import NO_CHANGE, NOISE, Case, make_cases
 from idrgbdo_torch import se3
 from idrgbdo_torch.frame import prepare
 from idrgbdo_torch.photometric import warp
-from idrgbdo_torch.tracking import LOST_BELOW, WEAK_BELOW, Tracked, recover, verify
+from idrgbdo_torch.tracking import Tracked
+from idrgbdo_torch.verification import LOST_BELOW, WEAK_BELOW, recover, verify
 
 
 @pytest.fixture(scope="module")

@@ -5,14 +5,14 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
+from .compiled import kernel
 from .lie import log_se3, retract
 from .linear import solve_spd
 from .linearisation import linearise
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def robust_scale(rms):
     """1.4826 MAD-like scale of the points' whitened rms, with a median rms of 0.9 counting as 1."""
     seen = np.sort(rms)
@@ -22,10 +22,11 @@ def robust_scale(rms):
     return max(seen[(first + seen.shape[0]) // 2] / 0.9, 0.5)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def align(
-    images, depth, cams, points, index_coarse, index_fine, T0, affine0, prior, T_prior_inv, affine_prior, noise, steps
-):
+    images, depth, cams, points, index_coarse, pixels_coarse, index_fine, T0, affine0, prior, T_prior_inv,
+    affine_prior, noise, steps,
+):  # fmt: skip
     """Coarse-to-fine damped Gauss-Newton from T0 (T_target_ref, (4, 4)).
 
     prior: (6, 6) information of T about T_prior (Eq. 19), affine_prior: (2, 2) information of the brightness about
@@ -47,18 +48,15 @@ def align(
     kept = 0
     change = 0.0
     for level in range(steps.shape[0] - 1, -1, -1):
-        if level > 0:
-            index = index_coarse
-            pixels = points.patch.shape[2]
-            rms = np.empty(index.shape[0])
-        else:
-            index = index_fine
-            pixels = points.patch.shape[2]
-            rms = np.empty(index.shape[0])
+        coarse = level > 0
+        index = index_coarse if coarse else index_fine
+        pixels = pixels_coarse if coarse else points.patch.shape[2]
         image = images[level]
         cam = cams[level]
-        for _ in range(2):  # the second round works with the outlier limit from the first
+        if level == 0 or level == steps.shape[0] - 1:  # other points, or none so far to tell the scale
+            rms = np.empty(index.shape[0])
             linearise(image, depth, cam, level, points, index, pixels, T, affine, 1.0, 1e9, noise, H, b, rms)
+        for _ in range(1 if coarse else 2):  # the second round works with the outlier limit from the first
             scale = robust_scale(rms)
             limit = noise.outlier
             energy, seen, kept = linearise(
@@ -102,15 +100,12 @@ def align(
                     damping = max(4.0 * damping, 0.1)
                     if damping > 1e4:
                         break
-                if change < 0.03:
+                if change < (0.1 if level == 0 else 1.0):
                     break
             total += iterations
-            if level > 0:
-                break
         if level == 1:
             # many coarse points know the brightness better than a few fine ones: it becomes their prior
-            linearise(image, depth, cam, level, points, index, pixels, T, affine, scale, limit, noise, H, b, rms)
-            affine_prior = brightness_information(H, prior) + affine_prior
+            affine_prior = brightness_information(H, affine_prior)
             affine_centre = affine.copy()
     # the information and the residuals at the accepted pose
     energy, seen, kept = linearise(
@@ -123,7 +118,7 @@ def align(
     return T, affine, H, rms, scale, total, seen, kept, change
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def prior_terms(H, b, T, affine, affine_centre, prior, T_prior_inv, affine_prior):
     """Add the motion prior (Eq. 19) and the brightness prior to H and b; returns their energy."""
     from_prior = log_se3(T @ T_prior_inv)
@@ -145,18 +140,18 @@ def prior_terms(H, b, T, affine, affine_centre, prior, T_prior_inv, affine_prior
     return energy
 
 
-@njit(cache=True, nogil=True)
-def brightness_information(H, prior):
-    """(2, 2) information of the brightness with the pose marginalised under its prior; zero where that fails."""
-    A = H[:6, :6] + prior
+@kernel
+def brightness_information(H, least):
+    """(2, 2) information of the brightness with the pose marginalised; `least` where that fails."""
     out = H[6:, 6:].copy()
     for k in range(2):
-        ok, x = solve_spd(A, H[:6, 6 + k].copy())
+        ok, x = solve_spd(H[:6, :6], H[:6, 6 + k])
         if not ok:
-            return np.zeros((2, 2))
+            return least
         for j in range(2):
-            out[j, k] -= np.dot(H[6 + j, :6].copy(), x)
+            for i in range(6):
+                out[j, k] -= H[6 + j, i] * x[i]
     out[0, 1] = out[1, 0] = 0.5 * (out[0, 1] + out[1, 0])
     if not (out[0, 0] > 0.0 and out[0, 0] * out[1, 1] > out[0, 1] * out[0, 1]):
-        return np.zeros((2, 2))
+        return least
     return out

@@ -6,8 +6,8 @@ from math import exp, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from .compiled import kernel
 from .lie import adjoint, inverse
 from .model import PATTERN_U, PATTERN_V, distortion_weight, photometric_variance
 from .sampling import sample, sample_inverse_depth
@@ -24,7 +24,7 @@ class WindowPoints(NamedTuple):
     valid: np.ndarray  # (K, N) bool
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def linearise_window(
     images, depths, slots, cam, T_cam_world, T_linear, affine, inv_depth, points, hosts, limit, noise,
     H, b, Hd, cross, bd, rms
@@ -46,10 +46,10 @@ def linearise_window(
     rms[:] = -1.0
     energy = 0.0
     huber = noise.huber
-    L = np.empty((9, 9))  # [v, w, a, b, d] of one point in one target
-    l = np.empty(9)
-    J = np.empty((2, 7))
+    huber2 = huber * huber
+    J = np.empty((2, 7))  # [v, w, d]
     Jz = np.empty(7)
+    with_d = np.empty(8)  # between [v, w, a, b] of the relative state and the inverse depth
     pixels = points.patch.shape[2]
     for host in range(K):
         if not hosts[host]:
@@ -116,7 +116,8 @@ def linearise_window(
                         break
                     kx = qx + T[0, 0] * ou + T[0, 1] * ov
                     ky = qy + T[1, 0] * ou + T[1, 1] * ov
-                    ok, value, gu, gv = sample(image, fx * kx / kz + cx, fy * ky / kz + cy)
+                    ikz = 1.0 / kz
+                    ok, value, gu, gv = sample(image, fx * kx * ikz + cx, fy * ky * ikz + cy)
                     if not ok:
                         inside = False
                         break
@@ -132,9 +133,9 @@ def linearise_window(
                     gv = (1.0 - noise.gradient_blend) * gv + noise.gradient_blend * sv
                     w = 1.0 / variance
                     s2 = r * r * w
-                    s = sqrt(s2)
                     sum2 += s2
-                    if s > huber:
+                    if s2 > huber2:
+                        s = sqrt(s2)
                         e += huber * (2.0 * s - huber)
                         w *= huber / s
                     else:
@@ -183,23 +184,26 @@ def linearise_window(
                 J[1, 4] = fy * x0 * y0
                 J[1, 5] = fy * x0
                 J[1, 6] = fy * (T0[1, 3] - y0 * T0[2, 3]) * iz0
-                for i in range(7):
-                    row = i if i < 6 else 8
+                gd0 = J[0, 6] * G00 + J[1, 6] * G01
+                gd1 = J[0, 6] * G01 + J[1, 6] * G11
+                for i in range(6):
                     g0 = J[0, i] * G00 + J[1, i] * G01
                     g1 = J[0, i] * G01 + J[1, i] * G11
-                    for j in range(7):
-                        L[row, j if j < 6 else 8] = g0 * J[0, j] + g1 * J[1, j]
-                    L[row, 6] = J[0, i] * G02 + J[1, i] * G12
-                    L[row, 7] = J[0, i] * G03 + J[1, i] * G13
-                    L[6, row] = L[row, 6]
-                    L[7, row] = L[row, 7]
-                    l[row] = J[0, i] * c0 + J[1, i] * c1
-                L[6, 6] = G22
-                L[6, 7] = G23
-                L[7, 6] = G23
-                L[7, 7] = G33
-                l[6] = c2
-                l[7] = c3
+                    for j in range(i, 6):
+                        pair[i, j] += g0 * J[0, j] + g1 * J[1, j]
+                    pair[i, 6] += J[0, i] * G02 + J[1, i] * G12
+                    pair[i, 7] += J[0, i] * G03 + J[1, i] * G13
+                    pair_b[i] += J[0, i] * c0 + J[1, i] * c1
+                    with_d[i] = gd0 * J[0, i] + gd1 * J[1, i]
+                pair[6, 6] += G22
+                pair[6, 7] += G23
+                pair[7, 7] += G33
+                pair_b[6] += c2
+                pair_b[7] += c3
+                with_d[6] = J[0, 6] * G02 + J[1, 6] * G12
+                with_d[7] = J[0, 6] * G03 + J[1, 6] * G13
+                Hd[host, n] += gd0 * J[0, 6] + gd1 * J[1, 6]
+                bd[host, n] += J[0, 6] * c0 + J[1, 6] * c1
                 if noise.use_depth:
                     ok, measured, gu, gv = sample_inverse_depth(depth, fx * x + cx, fy * y + cy, 0.05)
                     if ok:
@@ -220,21 +224,26 @@ def linearise_window(
                             Jz[3] += rho0 * y0
                             Jz[4] -= rho0 * x0
                             Jz[6] -= iz0 * (1.0 - rho0 * T0[2, 3])
-                            for i in range(7):
-                                row = i if i < 6 else 8
-                                for j in range(7):
-                                    L[row, j if j < 6 else 8] += w * Jz[i] * Jz[j]
-                                l[row] -= w * Jz[i] * r
-                pair += L[:8, :8]
-                pair_b += l[:8]
-                Hd[host, n] += L[8, 8]
-                bd[host, n] += l[8]
+                            for i in range(6):
+                                wj = w * Jz[i]
+                                for j in range(i, 6):
+                                    pair[i, j] += wj * Jz[j]
+                                pair_b[i] -= wj * r
+                                with_d[i] += wj * Jz[6]
+                            Hd[host, n] += w * Jz[6] * Jz[6]
+                            bd[host, n] -= w * Jz[6] * r
                 for i in range(8):
-                    cross[host, n, 8 * target + i] += L[8, i]
+                    cross[host, n, 8 * target + i] += with_d[i]
+                for i in range(6):
                     s = 0.0
-                    for j in range(8):
-                        s += chain[j, i] * L[8, j]
+                    for j in range(6):
+                        s += chain[j, i] * with_d[j]
                     cross[host, n, 8 * host + i] += s
+                cross[host, n, 8 * host + 6] -= with_d[6]
+                cross[host, n, 8 * host + 7] -= gain * with_d[7]
+            for i in range(8):
+                for j in range(i):
+                    pair[i, j] = pair[j, i]
             across = pair @ chain
             ho = slice(8 * host, 8 * host + 8)
             ta = slice(8 * target, 8 * target + 8)
@@ -247,7 +256,7 @@ def linearise_window(
     return energy
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def eliminate_depths(H, b, Hd, cross, bd):
     """Schur complement of the inverse depths, whose block is diagonal: (8K, 8K) and (8K,) of poses and brightness."""
     n = H.shape[0]

@@ -5,14 +5,13 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
-from .linear import solve_spd
+from .compiled import kernel
 from .model import PATTERN_U, PATTERN_V
 from .sampling import sample
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gradient_squared(image):
     """Squared central-difference gradient, zero on the border."""
     height, width = image.shape
@@ -25,9 +24,12 @@ def gradient_squared(image):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def block_thresholds(gradient2, block, offset):
-    """Region-adaptive threshold: median gradient of a block plus offset, smoothed 3x3; squared like the gradient."""
+    """Region-adaptive threshold: median gradient of a block plus offset, smoothed 3x3; squared like the gradient.
+
+    The median is that of every other pixel of every other row.
+    """
     height, width = gradient2.shape
     rows = (height + block - 1) // block
     cols = (width + block - 1) // block
@@ -37,8 +39,8 @@ def block_thresholds(gradient2, block, offset):
         for c in range(cols):
             histogram[:] = 0
             count = 0
-            for v in range(r * block, min((r + 1) * block, height)):
-                for u in range(c * block, min((c + 1) * block, width)):
+            for v in range(r * block, min((r + 1) * block, height), 2):
+                for u in range(c * block, min((c + 1) * block, width), 2):
                     histogram[min(63, int(sqrt(gradient2[v, u])))] += 1
                     count += 1
             below = 0
@@ -60,7 +62,7 @@ def block_thresholds(gradient2, block, offset):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fit_plane(depth, u, v, radius, sigma):
     """Inverse depth at pixel (u, v) from a plane through its neighbourhood.
 
@@ -73,7 +75,7 @@ def fit_plane(depth, u, v, radius, sigma):
         return False, 0.0, 0.0, 0.0
     centre = 1.0 / np.float64(depth[v, u])
     gate = max(5.0 * sigma, 0.06 * centre)
-    n = 0
+    n = 0.0
     sx = sy = sxx = sxy = syy = sd = sxd = syd = sdd = 0.0
     for j in range(-radius, radius + 1):
         for i in range(-radius, radius + 1):
@@ -85,7 +87,7 @@ def fit_plane(depth, u, v, radius, sigma):
             d = 1.0 / np.float64(z) - centre
             if abs(d) > gate:
                 return False, 0.0, 0.0, 0.0
-            n += 1
+            n += 1.0
             sx += i
             sy += j
             sxx += i * i
@@ -97,18 +99,21 @@ def fit_plane(depth, u, v, radius, sigma):
             sdd += d * d
     if n < (2 * radius + 1) ** 2 * 3 // 4:
         return False, 0.0, 0.0, 0.0
-    A = np.array([[float(n), sx, sy], [sx, sxx, sxy], [sy, sxy, syy]])
-    rhs = np.array([sd, sxd, syd])
-    ok, fit = solve_spd(A, rhs)
-    if not ok:
-        return False, 0.0, 0.0, 0.0
-    residual2 = (sdd - fit[0] * sd - fit[1] * sxd - fit[2] * syd) / n
+    # 3x3 normal equations by elimination
+    sxx_ = sxx - sx * sx / n
+    sxy_ = sxy - sx * sy / n
+    sxd_ = sxd - sx * sd / n
+    syy_ = syy - sy * sy / n - sxy_ * sxy_ / sxx_
+    slope_v = (syd - sy * sd / n - sxy_ * sxd_ / sxx_) / syy_
+    slope_u = (sxd_ - sxy_ * slope_v) / sxx_
+    offset = (sd - sx * slope_u - sy * slope_v) / n
+    residual2 = (sdd - offset * sd - slope_u * sxd - slope_v * syd) / n
     if residual2 > (2.0 * sigma) ** 2:
         return False, 0.0, 0.0, 0.0
-    return True, centre + fit[0], fit[1], fit[2]
+    return True, centre + offset, slope_u, slope_v
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def grid_candidates(gradient2, thresholds, block, edges, depth, cell, border, radius, sigma):
     """One candidate a grid cell, the best of three tiers: Canny edge, above threshold, weaker area (section 4.1).
 
@@ -121,27 +126,34 @@ def grid_candidates(gradient2, thresholds, block, edges, depth, cell, border, ra
     inv_depth = np.empty(capacity)
     tiers = np.empty(capacity, dtype=np.int64)
     count = 0
-    tried = np.empty(cell * cell, dtype=np.float64)
+    tried = np.empty(cell * cell)
+    columns = np.arange(width) // block  # of the threshold that holds at a pixel
     for v0 in range(border, height - border, cell):
         for u0 in range(border, width - border, cell):
-            n = 0
-            for v in range(v0, min(v0 + cell, height - border)):
-                for u in range(u0, min(u0 + cell, width - border)):
+            wide = min(u0 + cell, width - border) - u0
+            high = min(v0 + cell, height - border) - v0
+            best = -1
+            best_value = -1.0
+            for j in range(high):
+                v = v0 + j
+                row = v // block
+                for i in range(wide):
+                    u = u0 + i
                     g2 = gradient2[v, u]
-                    limit = thresholds[v // block, u // block]
-                    if g2 > limit:
-                        tier = 2.0 if edges[v, u] else 1.0
-                    elif g2 > 0.25 * limit:
-                        tier = 0.0
-                    else:
-                        tier = -1.0
-                    tried[n] = -1.0 if depth[v, u] <= 0.0 or tier < 0.0 else tier * 1e7 + g2
-                    n += 1
+                    limit = thresholds[row, columns[u]]
+                    value = -1.0
+                    if g2 > 0.25 * limit and depth[v, u] > 0.0:
+                        value = np.float64(g2)
+                        if g2 > limit:
+                            value += 2e7 if edges[v, u] else 1e7
+                    n = j * wide + i
+                    tried[n] = value
+                    if value > best_value:
+                        best_value = value
+                        best = n
             for _ in range(6):
-                best = np.argmax(tried[:n])
-                if tried[best] < 0.0:
+                if best_value < 0.0:
                     break
-                wide = min(u0 + cell, width - border) - u0
                 u = u0 + best % wide
                 v = v0 + best // wide
                 ok, d, _gu, _gv = fit_plane(depth, u, v, radius, sigma)
@@ -149,14 +161,16 @@ def grid_candidates(gradient2, thresholds, block, edges, depth, cell, border, ra
                     uv[count, 0] = u
                     uv[count, 1] = v
                     inv_depth[count] = d
-                    tiers[count] = int(tried[best] // 1e7)
+                    tiers[count] = int(best_value // 1e7)
                     count += 1
                     break
                 tried[best] = -1.0
+                best = int(np.argmax(tried[: wide * high]))
+                best_value = tried[best]
     return uv[:count], inv_depth[:count], tiers[:count]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def planes_at(depth, uv, radius, sigma):
     """fit_plane at many pixels: (valid (N,), inverse depth (N,))."""
     n = uv.shape[0]
@@ -167,17 +181,15 @@ def planes_at(depth, uv, radius, sigma):
     return valid, inv_depth
 
 
-@njit(cache=True, nogil=True)
-def sample_patches(images, uv, pixels):
-    """Reference intensities (L, N, P) and gradients (L, N, P, 2)."""
-    levels = len(images)
-    n = uv.shape[0]
-    patch = np.zeros((levels, n, pixels), dtype=np.float32)
-    gradient = np.zeros((levels, n, pixels, 2), dtype=np.float32)
-    for level in range(levels):
+@kernel
+def sample_patches(images, uv, index, first, end, patch, gradient):
+    """Fill reference intensities (L, N, P) and gradients (L, N, P, 2) of some points on levels first to end."""
+    pixels = patch.shape[2]
+    for level in range(first, end):
         image = images[level]
         size = 0.5**level
-        for i in range(n):
+        for n in range(index.shape[0]):
+            i = index[n]
             u0 = (uv[i, 0] + 0.5) * size - 0.5
             v0 = (uv[i, 1] + 0.5) * size - 0.5
             for k in range(pixels):
@@ -188,4 +200,21 @@ def sample_patches(images, uv, pixels):
                 patch[level, i, k] = value
                 gradient[level, i, k, 0] = gu
                 gradient[level, i, k, 1] = gv
-    return patch, gradient
+
+
+@kernel
+def first_of_cells(cells, order, count):
+    """At most count of the points in order: the first of each cell (N,), then the rest."""
+    taken = np.zeros(cells.shape[0], dtype=np.bool_)
+    seen = np.zeros(cells.max() + 1, dtype=np.bool_)
+    left = count
+    for i in order:
+        if left > 0 and not seen[cells[i]]:
+            seen[cells[i]] = True
+            taken[i] = True
+            left -= 1
+    for i in order:
+        if left > 0 and not taken[i]:
+            taken[i] = True
+            left -= 1
+    return np.flatnonzero(taken)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from math import exp, log, sqrt
+from math import log, sqrt
 
 import numpy as np
-from numba import njit
 
+from .compiled import kernel
 from .linear import inverse_spd
 from .model import PATTERN_U, distortion_weight, photometric_variance
-from .sampling import sample, sample_inverse_depth
 
+BLOCK = 32  # points that share a leader in the greedy choice
+PIXELS = PATTERN_U.shape[0]
 GRADIENT_NOISE = 0.25  # squared gradient of pure noise over var_intensity, the sensor's share of which is a quarter
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def whitened_rows(cam, width, height, margin, points, index, T, noise):
     """Rows A (M, 3, 6) whose A^T A is a point's information at pose T, and who is seen: the margin inside the image.
 
@@ -93,28 +94,30 @@ def whitened_rows(cam, width, height, margin, points, index, T, noise):
     return A, seen, where
 
 
-@njit(cache=True, nogil=True)
-def gain_bits(A, C, AC):
-    """1/2 log2 det(I_3 + A C A^T): what one point adds, in bits (Eq. 17)."""
+@kernel
+def gain_bits(A, n, C, AC):
+    """1/2 log2 det(I_3 + A_n C A_n^T): what point n adds, in bits (Eq. 17); AC (3, 6) is overwritten."""
     for r in range(3):
         for i in range(6):
             AC[r, i] = 0.0
-            for j in range(6):
-                AC[r, i] += A[r, j] * C[j, i]
+        for j in range(6):
+            a = A[n, r, j]
+            for i in range(6):
+                AC[r, i] += a * C[j, i]
     s00 = s11 = s22 = 1.0
     s01 = s02 = s12 = 0.0
     for i in range(6):
-        s00 += AC[0, i] * A[0, i]
-        s01 += AC[0, i] * A[1, i]
-        s02 += AC[0, i] * A[2, i]
-        s11 += AC[1, i] * A[1, i]
-        s12 += AC[1, i] * A[2, i]
-        s22 += AC[2, i] * A[2, i]
+        s00 += AC[0, i] * A[n, 0, i]
+        s01 += AC[0, i] * A[n, 1, i]
+        s02 += AC[0, i] * A[n, 2, i]
+        s11 += AC[1, i] * A[n, 1, i]
+        s12 += AC[1, i] * A[n, 2, i]
+        s22 += AC[2, i] * A[n, 2, i]
     det = s00 * (s11 * s22 - s12 * s12) - s01 * (s01 * s22 - s12 * s02) + s02 * (s01 * s12 - s11 * s02)
     return 0.5 * log(max(det, 1.0)) / log(2.0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def select(A, seen, where, radius, m, information, spread, c_z, distance):
     """Algorithm 1 over whitened rows, lazily: a gain can only shrink as points join, so a stale gain is a bound.
 
@@ -131,15 +134,17 @@ def select(A, seen, where, radius, m, information, spread, c_z, distance):
     L = information.copy()
     distance2 = distance * distance
     # one point per degree of freedom: the largest whitened derivative
+    squares = np.empty((6, n))
+    for i in range(n):
+        for k in range(6):
+            squares[k, i] = A[i, 0, k] ** 2 + A[i, 1, k] ** 2 + A[i, 2, k] ** 2
     for k in range(6):
         best = -1
         best_value = 0.0
         for i in range(n):
-            if free[i]:
-                value = A[i, 0, k] ** 2 + A[i, 1, k] ** 2 + A[i, 2, k] ** 2
-                if value > best_value:
-                    best_value = value
-                    best = i
+            if free[i] and squares[k, i] > best_value:
+                best_value = squares[k, i]
+                best = i
         if count >= m:
             break
         if best < 0:  # no point sees this degree of freedom
@@ -155,21 +160,35 @@ def select(A, seen, where, radius, m, information, spread, c_z, distance):
     AC = np.empty((3, 6))
     gains = np.empty(n)
     for i in range(n):
-        gains[i] = gain_bits(A[i], C, AC) if free[i] else 0.0
+        gains[i] = gain_bits(A, i, C, AC) if free[i] else 0.0
     fresh = np.full(n, count)  # how many points had been chosen when a gain was computed
     value = np.empty(n)
+    blocks = (n + BLOCK - 1) // BLOCK
+    leader = np.empty(blocks, dtype=np.int64)  # the best of each block, so that a correction costs a block, not all
     steps = max(1, m - 6)
     z = 1.0
     while count < m:
         for i in range(n):
-            value[i] = gains[i] + spread / (c_z * (radius[i] - z) ** 2 + 1.0) if free[i] else -np.inf
-        best = largest(value)
-        while value[best] > -np.inf and fresh[best] < count:
-            gain = gain_bits(A[best], C, AC)
+            value[i] = gains[i] + spread / (c_z * (radius[i] - z) ** 2 + 1.0)
+        for i in range(n):
+            if not free[i]:
+                value[i] = -np.inf
+        for block in range(blocks):
+            leader[block] = largest(value, block * BLOCK, min(n, (block + 1) * BLOCK))
+        best = leader[0]
+        while True:
+            best = leader[0]
+            for block in range(1, blocks):
+                if value[leader[block]] > value[best]:
+                    best = leader[block]
+            if value[best] == -np.inf or fresh[best] == count:
+                break
+            gain = gain_bits(A, best, C, AC)
             value[best] += gain - gains[best]
             gains[best] = gain
             fresh[best] = count
-            best = largest(value)
+            block = best // BLOCK
+            leader[block] = largest(value, block * BLOCK, min(n, (block + 1) * BLOCK))
         if value[best] == -np.inf:
             break
         chosen[count] = best
@@ -181,17 +200,17 @@ def select(A, seen, where, radius, m, information, spread, c_z, distance):
     return chosen[:count]
 
 
-@njit(cache=True, nogil=True)
-def largest(value):
-    """Index of the largest value, the first of equals."""
-    best = 0
-    for i in range(1, value.shape[0]):
+@kernel
+def largest(value, first, end):
+    """Index of the largest of value[first:end], the first of equals."""
+    best = first
+    for i in range(first + 1, end):
         if value[i] > value[best]:
             best = i
     return best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def shrink(C, a):
     """Sherman-Morrison, in place: the covariance after one more whitened row a (6,)."""
     Ca = np.zeros(6)
@@ -205,7 +224,7 @@ def shrink(C, a):
             C[i, j] -= Ca[i] * Ca[j] / inner
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def close(free, where, best, distance2):
     """Take the chosen point and everything closer than the distance out of the race."""
     for i in range(free.shape[0]):
@@ -214,47 +233,3 @@ def close(free, where, best, distance2):
             dv = where[i, 1] - where[best, 1]
             if du * du + dv * dv < distance2 or i == best:
                 free[i] = False
-
-
-@njit(cache=True, nogil=True)
-def verify(image, depth, cam, level, points, patch, index, T, affine, noise, limit):
-    """How many points a pose explains: (seen, agreeing in brightness, with depth, agreeing in depth).
-
-    patch: (N, P) reference intensities of the level; limit: gray levels.
-    """
-    fx, fy, cx, cy = cam[0], cam[1], cam[2], cam[3]
-    size = 0.5**level
-    up = 1.0 / size
-    gain = exp(affine[0])
-    seen = 0
-    bright = 0
-    with_depth = 0
-    near = 0
-    for n in range(index.shape[0]):
-        p = index[n]
-        d = points.inv_depth[p]
-        mx = ((points.uv[p, 0] + 0.5) * size - 0.5 - cx) / fx
-        my = ((points.uv[p, 1] + 0.5) * size - 0.5 - cy) / fy
-        qx = T[0, 0] * mx + T[0, 1] * my + T[0, 2] + T[0, 3] * d
-        qy = T[1, 0] * mx + T[1, 1] * my + T[1, 2] + T[1, 3] * d
-        qz = T[2, 0] * mx + T[2, 1] * my + T[2, 2] + T[2, 3] * d
-        if qz < 1e-3:
-            continue
-        u = fx * qx / qz + cx
-        v = fy * qy / qz + cy
-        ok, value, _gu, _gv = sample(image, u, v)
-        if not ok:
-            continue
-        seen += 1
-        if abs(value - gain * patch[p, 0] - affine[1]) < limit:
-            bright += 1
-        ok, measured, _gu, _gv = sample_inverse_depth(depth, (u + 0.5) * up - 0.5, (v + 0.5) * up - 0.5, 0.1)
-        if ok:
-            with_depth += 1
-            rho = d / qz
-            if abs(measured - rho) < 4.0 * sqrt(noise.var_depth + points.var_inv_depth[p]) + 0.02 * rho:
-                near += 1
-    return seen, bright, with_depth, near
-
-
-PIXELS = PATTERN_U.shape[0]

@@ -5,10 +5,11 @@ from __future__ import annotations
 from math import acos, cos, sin, sqrt
 
 import numpy as np
-from numba import njit
+
+from .compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def retract(xi, T):
     """exp(xi) T, twist [v, w] (Eq. 1)."""
     vx, vy, vz, wx, wy, wz = xi[0], xi[1], xi[2], xi[3], xi[4], xi[5]
@@ -38,7 +39,7 @@ def retract(xi, T):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def inverse(T):
     """Inverse of a rigid transform."""
     out = np.eye(4)
@@ -49,7 +50,7 @@ def inverse(T):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def log_se3(T):
     """Twist [v, w] of T for rotations well below pi (priors and steps; se3.log is the general one)."""
     cos_theta = 0.5 * (T[0, 0] + T[1, 1] + T[2, 2] - 1.0)
@@ -74,7 +75,7 @@ def log_se3(T):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def adjoint(T):
     """Adjoint of T for twists [v, w]: exp(Ad_T xi) = T exp(xi) T^-1."""
     R = T[:3, :3]

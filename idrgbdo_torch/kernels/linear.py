@@ -5,10 +5,11 @@ from __future__ import annotations
 from math import isfinite, sqrt
 
 import numpy as np
-from numba import njit
+
+from .compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def solve_spd(A, b):
     """(ok, x) of A x = b by Cholesky; not ok where A is not positive definite or not finite."""
     n = A.shape[0]
@@ -41,7 +42,7 @@ def solve_spd(A, b):
     return True, x
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def inverse_spd(A):
     """Inverse of a symmetric positive definite matrix; zeros where it is not."""
     n = A.shape[0]

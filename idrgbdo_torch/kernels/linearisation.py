@@ -5,13 +5,13 @@ from __future__ import annotations
 from math import exp, sqrt
 
 import numpy as np
-from numba import njit
 
+from .compiled import kernel
 from .model import PATTERN_U, PATTERN_V, distortion_weight, photometric_variance
 from .sampling import sample, sample_inverse_depth
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def linearise(image, depth, cam, level, points, index, pixels, T, affine, scale, limit, noise, H, b, rms):
     """Normal equations of one level at one pose.
 
@@ -33,6 +33,7 @@ def linearise(image, depth, cam, level, points, index, pixels, T, affine, scale,
     seen = 0
     kept = 0
     huber = noise.huber
+    huber2 = huber * huber
     inv_scale2 = 1.0 / (scale * scale)
     for n in range(index.shape[0]):
         p = index[n]
@@ -80,7 +81,8 @@ def linearise(image, depth, cam, level, points, index, pixels, T, affine, scale,
             if kz < 1e-3:
                 inside = False
                 break
-            ok, value, gu, gv = sample(image, fx * kx / kz + cx, fy * ky / kz + cy)
+            ikz = 1.0 / kz
+            ok, value, gu, gv = sample(image, fx * kx * ikz + cx, fy * ky * ikz + cy)
             if not ok:
                 inside = False
                 break
@@ -97,9 +99,9 @@ def linearise(image, depth, cam, level, points, index, pixels, T, affine, scale,
             gv = (1.0 - noise.gradient_blend) * gv + noise.gradient_blend * sv
             w = inv_scale2 / variance
             s2 = r * r * w
-            s = sqrt(s2)
             sum2 += s2
-            if s > huber:
+            if s2 > huber2:
+                s = sqrt(s2)
                 e += huber * (2.0 * s - huber)
                 w *= huber / s
             else:

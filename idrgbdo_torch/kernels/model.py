@@ -6,7 +6,8 @@ from math import exp
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from .compiled import kernel
 
 PATTERN_U = np.array([0.0, 0.0, -1.0, 1.0, -2.0, 2.0, -1.0, 0.0])
 PATTERN_V = np.array([0.0, -2.0, -1.0, -1.0, 0.0, 0.0, 1.0, 2.0])
@@ -37,7 +38,7 @@ class Points(NamedTuple):
     gradient: np.ndarray  # (L, N, P, 2) float32 gray levels/px of the reference
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def photometric_variance(gu, gv, du_dd, dv_dd, var_d, noise):
     """Twin of photometric.photometric_variance (Eq. 8)."""
     if noise.paper_variance:
@@ -46,7 +47,7 @@ def photometric_variance(gu, gv, du_dd, dv_dd, var_d, noise):
     return noise.var_intensity + noise.var_pixel * (gu * gu + gv * gv) + noise.shared * along * var_d
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def distortion_weight(area, c_h):
     """Twin of photometric.distortion_weight (Eq. 7)."""
     return exp(min(c_h * (area - 1.0) ** 2, 4.0))

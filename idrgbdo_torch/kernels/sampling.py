@@ -5,45 +5,48 @@ from __future__ import annotations
 from math import floor
 
 import numpy as np
-from numba import njit
+
+from .compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sample(image, u, v):
     """Bilinear value and central-difference gradient, (valid, value, g_u, g_v), at pixel (u, v)."""
     height, width = image.shape
     if not (u >= 1.0 and v >= 1.0 and u < width - 2.0 and v < height - 2.0):
         return False, 0.0, 0.0, 0.0
-    iu = floor(u)
-    iv = floor(v)
-    fu = u - iu
-    fv = v - iv
+    iu = np.uint64(u)  # unsigned: no check for negative indices
+    iv = np.uint64(v)
+    fu = u - np.float64(iu)
+    fv = v - np.float64(iv)
+    one = np.uint64(1)
+    two = np.uint64(2)
     i00 = np.float64(image[iv, iu])
-    i01 = np.float64(image[iv, iu + 1])
-    i10 = np.float64(image[iv + 1, iu])
-    i11 = np.float64(image[iv + 1, iu + 1])
+    i01 = np.float64(image[iv, iu + one])
+    i10 = np.float64(image[iv + one, iu])
+    i11 = np.float64(image[iv + one, iu + one])
     top = i00 + fu * (i01 - i00)
     bottom = i10 + fu * (i11 - i10)
     value = top + fv * (bottom - top)
     # gradient: half the difference of the bilinear samples one pixel to either side
-    left0 = np.float64(image[iv, iu - 1])
-    left1 = np.float64(image[iv + 1, iu - 1])
-    right0 = np.float64(image[iv, iu + 2])
-    right1 = np.float64(image[iv + 1, iu + 2])
+    left0 = np.float64(image[iv, iu - one])
+    left1 = np.float64(image[iv + one, iu - one])
+    right0 = np.float64(image[iv, iu + two])
+    right1 = np.float64(image[iv + one, iu + two])
     g_top = (1.0 - fu) * (i01 - left0) + fu * (right0 - i00)
     g_bottom = (1.0 - fu) * (i11 - left1) + fu * (right1 - i10)
     g_u = 0.5 * (g_top + fv * (g_bottom - g_top))
-    up0 = np.float64(image[iv - 1, iu])
-    up1 = np.float64(image[iv - 1, iu + 1])
-    down0 = np.float64(image[iv + 2, iu])
-    down1 = np.float64(image[iv + 2, iu + 1])
+    up0 = np.float64(image[iv - one, iu])
+    up1 = np.float64(image[iv - one, iu + one])
+    down0 = np.float64(image[iv + two, iu])
+    down1 = np.float64(image[iv + two, iu + one])
     g_left = (1.0 - fv) * (i10 - up0) + fv * (down0 - i00)
     g_right = (1.0 - fv) * (i11 - up1) + fv * (down1 - i01)
     g_v = 0.5 * (g_left + fu * (g_right - g_left))
     return True, value, g_u, g_v
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sample_inverse_depth(depth, u, v, agreement):
     """Bilinear inverse depth and its gradient, (valid, d, g_u, g_v); valid where the four neighbours agree."""
     height, width = depth.shape
