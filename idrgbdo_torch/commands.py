@@ -88,7 +88,7 @@ def demo(command: DemoCommand) -> int:
 def evaluate(command: EvaluateCommand) -> int:
     """Compare two trajectories."""
     estimate = read_tum(_file(command.estimate, "trajectory.txt"))
-    reference = read_tum(_file(command.groundtruth, "groundtruth.txt"))
+    reference = _reference(command.groundtruth)
     evaluation = evaluate_trajectory(estimate, reference, max_difference_s=command.association_limit)
     counts = f"{evaluation.matched_poses} of {len(estimate)} estimated, of {len(reference)} reference poses"
     show_table(str(command.estimate), [*evaluation_rows(evaluation)[:-1], ("matched poses", counts)])
@@ -236,6 +236,18 @@ def _from_above(done: Run, evaluation: Evaluation | None, groundtruth: Trajector
 def _render(config: synthetic.SynthConfig, folder: Path) -> None:
     with progress_bar("rendering", config.frames) as advance:
         synthetic.synth(config, folder, lambda done, total: advance(""))
+
+
+def _reference(path: Path) -> Trajectory:
+    """The poses of a TUM text, or the reference of a recording of any format. Raises IdRgbdoError for one without."""
+    if not path.is_dir() or (path / "groundtruth.txt").exists():
+        return read_tum(_file(path, "groundtruth.txt"))
+    reference = datasets.open_sequence(path).groundtruth
+    if reference is None:
+        raise IdRgbdoError(
+            f"groundtruth: the recording '{path}' holds no reference poses; pass a file of them, TUM text"
+        )
+    return reference
 
 
 def _file(path: Path, name: str) -> Path:

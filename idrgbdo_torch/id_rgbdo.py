@@ -16,7 +16,7 @@ from .frame import Frame, Keyframe, RgbdFrame, prepare
 from .kernels.lie import inverse
 from .kernels.model import Noise
 from .keyframe import freedom_entropies_bits, wants_keyframe
-from .mapping import Cloud, condense, keyframe_cloud, world_cloud
+from .mapping import NOTHING, Cloud, condense, keyframe_cloud, world_cloud
 from .odometry import Status, TrackResult
 from .selection import point_bits, select_points
 from .tracking import RATE, Tracked, kernel_noise, motion_information, predict, turn_rate, with_blur
@@ -66,7 +66,7 @@ class IdRgbdo:
         self.keyframe_poses: list[Array] = []  # T_kf_world of every keyframe, refined as long as it is in the window
         self.keyframe_times: list[float] = []
         self.in_window: list[int] = []  # which of them that are
-        self.clouds: list[Cloud] = []  # map points of every keyframe
+        self.clouds: list[Cloud] = []  # map points of every keyframe that has left the window
         self.last: tuple[Keyframe, Tracked] | None = None  # what the last frame was tracked against
 
     def track(self, rgbd: RgbdFrame) -> TrackResult:
@@ -121,7 +121,7 @@ class IdRgbdo:
     def _adopt(self, keyframe: Keyframe) -> None:
         self.keyframe_poses.append(self.T_cam_world)
         self.keyframe_times.append(keyframe.frame.timestamp)
-        self.clouds.append(keyframe_cloud(keyframe))
+        self.clouds.append(NOTHING if self.config.window.enabled else keyframe_cloud(keyframe))
         prior = motion_information(self.config, 1.0 / 30.0)
         selection = self.config.selection
         if not selection.per_frame:
@@ -141,11 +141,10 @@ class IdRgbdo:
         self.window.add(keyframe, before, self.affine, index)
         self.in_window.append(len(self.keyframe_poses) - 1)
         self.window.optimise()
-        for number, pose, refined in zip(self.in_window, self.window.T_kf_world, self.window.keyframes, strict=True):
+        for number, pose in zip(self.in_window, self.window.T_kf_world, strict=True):
             self.keyframe_poses[number] = pose
-            self.clouds[number] = keyframe_cloud(refined)
-        for k in self.window.shrink():
-            self.in_window.pop(k)
+        for k, keyframe in self.window.shrink():
+            self.clouds[self.in_window.pop(k)] = keyframe_cloud(keyframe)
         self.T_cam_world = self.window.T_kf_world[-1]
         self.T_previous = self.T_previous @ inverse(before) @ self.T_cam_world
         return self.window.keyframes[-1]
@@ -156,6 +155,8 @@ class IdRgbdo:
         if len(keyframe.points.uv) < FEWEST_CANDIDATES:
             return self._hold(frame, reason)
         first = self.keyframe is None
+        for number, old in zip(self.in_window, self.window.keyframes, strict=True):
+            self.clouds[number] = keyframe_cloud(old)
         self.window = Window(self.config, self.noise)
         self.in_window = []
         self.affine = np.zeros(2)
@@ -216,7 +217,10 @@ class IdRgbdo:
 
     def map_points(self) -> tuple[Tensor, Tensor]:
         """(N, 3) float32 candidate points of all keyframes in the world, m, and their (N, 3) uint8 RGB colours."""
-        cloud = world_cloud(self.clouds, self.keyframe_poses)
+        clouds = list(self.clouds)
+        for number, keyframe in zip(self.in_window, self.window.keyframes, strict=True):
+            clouds[number] = keyframe_cloud(keyframe)
+        cloud = world_cloud(clouds, self.keyframe_poses)
         return torch.from_numpy(cloud.xyz), torch.from_numpy(cloud.rgb)
 
     def last_points(self) -> tuple[Tensor, Tensor]:

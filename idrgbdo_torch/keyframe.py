@@ -46,6 +46,8 @@ def lost_certainty(entropy: Tensor, reference: Tensor, criterion: str) -> Tensor
 
 def wants_keyframe(history: list[Tensor], config: KeyframeConfig) -> bool:
     """Whether any degree of freedom has lost too much; history: entropies (6,) tracked since the keyframe."""
-    reference = torch.stack(history[:REFERENCE_FRAMES]).median(dim=0).values
+    first = [entropies.tolist() for entropies in history[:REFERENCE_FRAMES]]
+    median = [sorted(freedom)[(len(first) - 1) // 2] for freedom in zip(*first, strict=True)]
+    reference = torch.tensor(median, dtype=torch.float64)
     threshold = config.threshold_bits if config.criterion == "bits" else config.threshold_ratio
     return bool(lost_certainty(history[-1], reference, config.criterion).max() > threshold)

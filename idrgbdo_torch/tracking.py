@@ -108,5 +108,9 @@ def track_frame(
 
 def pose_information(H: Array) -> Array:
     """(6, 6): brightness (last two) marginalised from the (8, 8) normal matrix."""
-    out: Array = H[:6, :6] - H[:6, 6:] @ np.linalg.solve(H[6:, 6:], H[6:, :6])
+    # their 2x2 block is inverted by hand: a call of LAPACK costs more than the alignment of a level
+    (p, q), (_, r) = H[6:, 6:].tolist()
+    across = H[:6, 6:]
+    solved = across @ (np.array([[r, -q], [-q, p]]) / (p * r - q * q))
+    out: Array = H[:6, :6] - solved @ across.T
     return 0.5 * (out + out.T)

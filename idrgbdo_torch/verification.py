@@ -10,7 +10,7 @@ from torch import Tensor
 
 from .candidates import all_patches
 from .frame import LEVELS, Frame, Keyframe
-from .kernels import choice
+from .kernels import agreement
 from .kernels.model import Noise
 from .tracking import Tracked, track_frame
 
@@ -58,16 +58,14 @@ FREEDOMS = ("x", "y", "z", "rotation about x", "rotation about y", "rotation abo
 
 def unsure(entropies: Tensor) -> str:
     """Why a pose with these entropies (6,) in bits is doubtful however well it fits, empty when it is not."""
-    worst = int(entropies.argmax())
-    if entropies[worst] <= UNSURE_BITS:
-        return ""
-    return f"{FREEDOMS[worst]} is uncertain: {entropies[worst]:.1f} bits"
+    bits, freedom = max(zip(entropies.tolist(), FREEDOMS, strict=True))
+    return f"{freedom} is uncertain: {bits:.1f} bits" if bits > UNSURE_BITS else ""
 
 
 def verify(frame: Frame, keyframe: Keyframe, tracked: Tracked, noise: Noise) -> Verdict:
     """Hold a pose against all the spread-out points of the keyframe."""
     coarse = keyframe.coarse
-    seen, bright, with_depth, near = choice.verify(
+    seen, bright, with_depth, near = agreement.verify(
         frame.images[VERIFIED_LEVEL], frame.depth, keyframe.frame.intrinsics[VERIFIED_LEVEL], VERIFIED_LEVEL,
         keyframe.points, keyframe.points.patch[VERIFIED_LEVEL], coarse, tracked.T_frame_kf, tracked.affine, noise,
         VERIFIED_GRAY,
@@ -110,7 +108,7 @@ def align(
 def displacement(keyframe: Keyframe, T_guess: Array, tracked: Tracked) -> float:
     """Mean distance in px between where the guess and the result put the spread-out points; inf if none is in front."""
     cam = keyframe.frame.intrinsics[0]
-    return float(choice.displacement(cam, keyframe.points, keyframe.coarse, T_guess, tracked.T_frame_kf))
+    return float(agreement.displacement(cam, keyframe.points, keyframe.coarse, T_guess, tracked.T_frame_kf))
 
 
 def recover(

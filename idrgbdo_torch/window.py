@@ -182,13 +182,13 @@ class Window:
                 keyframe, points=keyframe.points._replace(inv_depth=inv_depth, var_inv_depth=variance)
             )
 
-    def shrink(self) -> list[int]:
-        """Marginalise keyframes until at most window.keyframes are left; returns their positions at removal."""
+    def shrink(self) -> list[tuple[int, Keyframe]]:
+        """Marginalise keyframes until at most window.keyframes are left; returns them, with their places at removal."""
         removed = []
         while len(self.keyframes) > self.config.window.keyframes:
             k = self.least_useful()
+            removed.append((k, self.keyframes[k]))
             self.marginalise(k)
-            removed.append(k)
         return removed
 
     def least_useful(self) -> int:

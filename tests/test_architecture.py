@@ -25,8 +25,8 @@ FLOORS = (
     {"torch_backend"},
     {"backends"},
     {"selection", "tracking", "keyframe", "marginalization"},  # decisions
-    {"candidates", "mapping"},
-    {"verification", "window", "mesh", "informative"},
+    {"candidates", "window", "mapping", "mesh", "informative"},
+    {"verification"},
     {"id_rgbdo"},  # system
     {"datasets", "synthetic", "evaluation", "figures", "download"},  # world
     {"runfolder", "source", "checkpoint", "live"},

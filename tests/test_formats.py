@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -369,3 +370,35 @@ def test_run_says_what_was_recognised(
     assert cli.main(["run", "mine", "--format", "folder", "--max-frames", "3"]) == 0
     shown = capsys.readouterr().out
     assert "reading folder of images, color/ and depth/, paired by number, 30 frames per second: 3 frames" in shown
+
+
+def test_the_camera_files_of_the_documentation_are_cameras(tmp_path: Path) -> None:
+    page = (Path(__file__).parent.parent / "docs" / "data.md").read_text()
+    plain, with_depth = re.findall(r"^```toml\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
+    for name, text in (("plain", plain), ("with_depth", with_depth)):
+        (tmp_path / f"{name}.toml").write_text(text)
+    first, second = (find_calibration(tmp_path, tmp_path / f"{name}.toml") for name in ("plain", "with_depth"))
+    assert (first.fx, first.depth_scale, first.fps, first.depth.fx) == (525, 1000, 30, None)
+    assert second.depth.fx == 385
+    assert second.T_color_depth()[:3, 3].tolist() == [0.015, 0, 0]
+
+
+def test_every_format_is_documented() -> None:
+    page = (Path(__file__).parent.parent / "docs" / "data.md").read_text()
+    assert set(re.findall(r"^\| `(\w+)` \| .* \| .* \| .* \| .* \|$", page, flags=re.MULTILINE)) == set(FORMATS)
+    help_text = next(line for line in Path(cli.__file__).read_text().splitlines() if "format: str | None" in line)
+    assert all(name in help_text for name in FORMATS)
+
+
+def test_a_run_is_evaluated_against_any_formats_reference(
+    film: Film, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    format_writers.redwood(film, tmp_path / "room")
+    assert cli.main(["run", "room", "--max-frames", "8"]) == 0
+    assert "ATE" in capsys.readouterr().out
+    assert cli.main(["evaluate", "runs/room/latest", "room"]) == 0
+    assert "8 of 8 estimated, of 30 reference poses" in capsys.readouterr().out
+    (tmp_path / "room" / "trajectory.log").unlink()
+    assert cli.main(["evaluate", "runs/room/latest", "room"]) == 1
+    assert "holds no reference poses" in capsys.readouterr().err

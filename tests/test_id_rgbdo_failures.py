@@ -85,6 +85,7 @@ def test_a_broken_image_is_lost_and_tracking_goes_on(desk: Film, name: str, leng
     assert len(odometry.trajectory()) == 40
 
 
+@pytest.mark.parametrize("length", [PATIENCE, 2 * PATIENCE])
 def test_after_a_longer_loss_the_keyframe_is_still_tried_first(desk: Film, length: int) -> None:
     """A lens covered for a fifth of a second: the view that comes back is the old one."""
     odometry = IdRgbdo()

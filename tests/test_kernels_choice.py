@@ -11,7 +11,7 @@ from torch import Tensor
 
 from idrgbdo_torch.config import NoiseConfig
 from idrgbdo_torch.image import sample_surface, sample_with_gradient
-from idrgbdo_torch.kernels import choice
+from idrgbdo_torch.kernels import agreement, choice
 from idrgbdo_torch.kernels.model import Points
 from idrgbdo_torch.photometric import (
     distortion_weight,
@@ -120,7 +120,7 @@ def test_verify_counts_what_agrees(scene: Scene) -> None:
     points = scene.points._replace(inv_depth=d.numpy())
 
     def counts(points: Points, affine: Tensor) -> tuple[int, int, int, int]:
-        return choice.verify(
+        return agreement.verify(
             image, depth, intrinsics(0), 0, points, patch, np.arange(200), T_TARGET_HOST.numpy(), affine.numpy(),
             noise, 12.0,
         )  # fmt: skip

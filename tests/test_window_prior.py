@@ -29,7 +29,7 @@ def test_the_window_keeps_its_size_and_its_newest(keyed: Desk) -> None:
         window.optimise()
         newest = [keyframe.frame.timestamp for keyframe in window.keyframes[-PROTECTED:]]
         removed = window.shrink()
-        assert len(removed) == 1 and removed[0] < 6 - PROTECTED
+        assert len(removed) == 1 and removed[0][0] < 6 - PROTECTED
         assert len(window.keyframes) == len(window.index) == len(window.slots) == 5
         assert [keyframe.frame.timestamp for keyframe in window.keyframes[-PROTECTED:]] == newest
         assert window.prior.H.shape == (5 * STEP,) * 2 and window.prior.b.shape == (5 * STEP,)

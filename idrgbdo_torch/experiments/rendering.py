@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache
@@ -101,9 +101,11 @@ def render(task: RenderTask) -> Result:
     if is_rendered(task):
         return {"folder": str(task.folder)}
     config = task.config
-    unfinished = task.folder.with_name(f"{task.folder.name}.{os.getpid()}")
+    unfinished = None
     try:
-        unfinished.mkdir(parents=True)
+        task.folder.parent.mkdir(parents=True, exist_ok=True)
+        unfinished = Path(tempfile.mkdtemp(prefix=f"{task.folder.name}.", dir=task.folder.parent))
+        unfinished.chmod(0o755)
         if config.trajectory is None:
             path = unfinished / "path.txt"
             write_builtin_path(path, task.relative, (config.frames + 2) / config.rate, config.seed)
@@ -114,7 +116,8 @@ def render(task: RenderTask) -> Result:
         if not is_rendered(task):  # else another process was faster
             raise IdRgbdoError(f"cache: cannot write '{task.folder}': {error}; pass another --cache") from error
     finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
+        if unfinished is not None:
+            shutil.rmtree(unfinished, ignore_errors=True)
     return {"folder": str(task.folder)}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import UTC, datetime
@@ -30,7 +31,8 @@ from ..tracking import motion_information
 OURS = "ours"
 PACKAGE = Path(__file__).resolve().parent.parent
 NOT_THE_METHOD = ("cli", "commands", "terminal", "runfolder", "figures", "mapping")  # files that change no pose
-KEPT_MB = 1200.0  # of decoded frames that a process keeps for its next task
+FRAME_BYTES = 11  # a pixel, decoded: gray and depth in 4 each, colour in 3
+KEPT_SHARE = 0.25  # of the machine's memory, that all processes together may fill with decoded frames
 
 
 @dataclass(frozen=True)
@@ -204,11 +206,19 @@ def _frames(clip: Clip) -> Sequence[RgbdFrame | BrokenFrame] | RgbdSequence:
     """The clip's frames: decoded once for all tasks in a row that want them, where they fit into memory."""
     sequence = _open(replace(clip, start=0, frames=None))
     camera = sequence.camera
-    size_mb = len(sequence) * camera.width * camera.height * 11 / 1e6  # gray and depth in 4 bytes, colour in 3
-    if size_mb > KEPT_MB:
+    if len(sequence) * camera.width * camera.height * FRAME_BYTES > _kept_bytes():
         return _open(clip)
     end = len(sequence) if clip.frames is None else clip.start + clip.frames
     return _decoded(clip.folder)[clip.start : end]
+
+
+def _kept_bytes() -> float:
+    """Memory for decoded frames that a process may keep for its next task; none where the system does not say."""
+    try:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return 0.0
+    return KEPT_SHARE * memory / (os.cpu_count() or 1)
 
 
 @lru_cache(maxsize=1)

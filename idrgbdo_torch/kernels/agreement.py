@@ -1,0 +1,75 @@
+"""How well a pose explains points that did not choose it, and how far two poses are apart in the image."""
+
+from __future__ import annotations
+
+from math import exp, sqrt
+
+import numpy as np
+
+from .compiled import kernel
+from .sampling import sample, sample_inverse_depth
+
+
+@kernel
+def verify(image, depth, cam, level, points, patch, index, T, affine, noise, limit):
+    """How many points a pose explains: (seen, agreeing in brightness, with depth, agreeing in depth).
+
+    patch: (N, P) reference intensities of the level; limit: gray levels.
+    """
+    fx, fy, cx, cy = cam[0], cam[1], cam[2], cam[3]
+    size = 0.5**level
+    up = 1.0 / size
+    gain = exp(affine[0])
+    seen = 0
+    bright = 0
+    with_depth = 0
+    near = 0
+    for n in range(index.shape[0]):
+        p = index[n]
+        d = points.inv_depth[p]
+        mx = ((points.uv[p, 0] + 0.5) * size - 0.5 - cx) / fx
+        my = ((points.uv[p, 1] + 0.5) * size - 0.5 - cy) / fy
+        qx = T[0, 0] * mx + T[0, 1] * my + T[0, 2] + T[0, 3] * d
+        qy = T[1, 0] * mx + T[1, 1] * my + T[1, 2] + T[1, 3] * d
+        qz = T[2, 0] * mx + T[2, 1] * my + T[2, 2] + T[2, 3] * d
+        if qz < 1e-3:
+            continue
+        u = fx * qx / qz + cx
+        v = fy * qy / qz + cy
+        ok, value, _gu, _gv = sample(image, u, v)
+        if not ok:
+            continue
+        seen += 1
+        if abs(value - gain * patch[p, 0] - affine[1]) < limit:
+            bright += 1
+        ok, measured, _gu, _gv = sample_inverse_depth(depth, (u + 0.5) * up - 0.5, (v + 0.5) * up - 0.5, 0.1)
+        if ok:
+            with_depth += 1
+            rho = d / qz
+            if abs(measured - rho) < 4.0 * sqrt(noise.var_depth + points.var_inv_depth[p]) + 0.02 * rho:
+                near += 1
+    return seen, bright, with_depth, near
+
+
+@kernel
+def displacement(cam, points, index, T_a, T_b):
+    """Mean distance in px between the projections of points at two poses; infinite where none is in front of both."""
+    fx, fy, cx, cy = cam[0], cam[1], cam[2], cam[3]
+    total = 0.0
+    seen = 0
+    for n in range(index.shape[0]):
+        p = index[n]
+        d = points.inv_depth[p]
+        mx = (points.uv[p, 0] - cx) / fx
+        my = (points.uv[p, 1] - cy) / fy
+        za = T_a[2, 0] * mx + T_a[2, 1] * my + T_a[2, 2] + T_a[2, 3] * d
+        zb = T_b[2, 0] * mx + T_b[2, 1] * my + T_b[2, 2] + T_b[2, 3] * d
+        if za < 1e-3 or zb < 1e-3:
+            continue
+        du = (T_a[0, 0] * mx + T_a[0, 1] * my + T_a[0, 2] + T_a[0, 3] * d) / za
+        du -= (T_b[0, 0] * mx + T_b[0, 1] * my + T_b[0, 2] + T_b[0, 3] * d) / zb
+        dv = (T_a[1, 0] * mx + T_a[1, 1] * my + T_a[1, 2] + T_a[1, 3] * d) / za
+        dv -= (T_b[1, 0] * mx + T_b[1, 1] * my + T_b[1, 2] + T_b[1, 3] * d) / zb
+        total += sqrt((fx * du) ** 2 + (fy * dv) ** 2)
+        seen += 1
+    return total / seen if seen > 0 else np.inf
