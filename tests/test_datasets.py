@@ -200,6 +200,19 @@ def test_associations_may_be_given(make_recording: Make) -> None:
     assert all(isinstance(frame, RgbdFrame) for frame in sequence)
 
 
+def test_associations_alone_will_do(make_recording: Make) -> None:
+    folder = make_recording()
+    pairs = zip(images(folder, "rgb"), images(folder, "depth"), strict=True)
+    rows = [f"{c.stem} rgb/{c.name} {d.stem} depth/{d.name}" for c, d in pairs]
+    (folder / "associations.txt").write_text("\n".join(rows))
+    expected = open_sequence(folder).timestamps
+    for name in ("rgb.txt", "depth.txt"):
+        (folder / name).unlink()
+    sequence = open_sequence(folder)
+    assert sequence.recognised.startswith("TUM RGB-D layout: 4 frames of 64x48, 5000 depth values per metre, with ")
+    assert sequence.timestamps == expected
+
+
 def test_unknown_intrinsics(make_recording: Make) -> None:
     with pytest.raises(IdRgbdoError, match=r"unknown intrinsics .* --camera F\.toml"):
         open_sequence(make_recording(calibration=None))

@@ -35,8 +35,8 @@ def recognise(path: Path) -> bool:
     listed = path / "associations.txt"
     if (path / "rgb.txt").exists() or not listed.is_file():
         return False
-    first = listed.read_text(encoding="utf-8", errors="replace").split(maxsplit=2)
-    return any(path.glob("*.gt.freiburg")) or (len(first) > 1 and first[0].isdigit() and first[1].startswith("depth/"))
+    first = listed.read_text(encoding="utf-8", errors="replace").split(maxsplit=1)
+    return any(path.glob("*.gt.freiburg")) or (bool(first) and first[0].isdigit() and len(first[0]) < 7)
 
 
 def read(folder: Path, options: Options) -> Recording:
