@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import Literal
 
-from .kernels import alignment, bundle, candidates, choice
+from .kernels import agreement, alignment, bundle, candidates, choice
+from .torch_backend import agreement as torch_agreement
 from .torch_backend import alignment as torch_alignment
 from .torch_backend import bundle as torch_bundle
 from .torch_backend import candidates as torch_candidates
@@ -24,14 +25,15 @@ class Backend:
     """The files of one of the two packages. Algorithm 1 in torch is selection.select_informative."""
 
     name: str
+    agreement: ModuleType  # verify, displacement
     alignment: ModuleType  # align, robust_scale
     bundle: ModuleType  # linearise_window, eliminate_depths
     candidates: ModuleType  # gradient_squared, block_thresholds, grid_candidates, planes_at, sample_patches, ...
-    choice: ModuleType  # whitened_rows, verify, displacement; select in the fused one
+    choice: ModuleType  # whitened_rows; select in the fused one
 
 
-FUSED = Backend("fused", alignment, bundle, candidates, choice)
-TORCH = Backend("torch", torch_alignment, torch_bundle, torch_candidates, torch_choice)
+FUSED = Backend("fused", agreement, alignment, bundle, candidates, choice)
+TORCH = Backend("torch", torch_agreement, torch_alignment, torch_bundle, torch_candidates, torch_choice)
 
 
 def backend(name: Name) -> Backend:

@@ -21,7 +21,7 @@ from idrgbdo_torch import IdRgbdo, Status, kernels, run, se3, selection, torch_b
 from idrgbdo_torch import candidates as candidates_file
 from idrgbdo_torch.backends import FUSED, TORCH, backend
 from idrgbdo_torch.candidates import BLOCK, BORDER, PLANE_RADIUS, THRESHOLD_OFFSET
-from idrgbdo_torch.kernels import alignment, bundle, candidates, choice
+from idrgbdo_torch.kernels import agreement, alignment, bundle, candidates, choice
 from idrgbdo_torch.selection import select_informative
 from idrgbdo_torch.torch_backend import alignment as torch_alignment
 from idrgbdo_torch.torch_backend import bundle as torch_bundle
@@ -31,7 +31,7 @@ from idrgbdo_torch.tracking import AFFINE_PRIOR, STEPS
 from idrgbdo_torch.window import Linearised
 
 LEVELS = CONFIG.tracking.levels
-FILES = ("alignment", "bundle", "candidates", "choice")
+FILES = ("agreement", "alignment", "bundle", "candidates", "choice")
 TWINS = [(getattr(FUSED, name), getattr(TORCH, name)) for name in FILES]
 NEAR = se3.exp(torch.tensor([0.003, -0.002, 0.001, 0.001, -0.002, 0.0005], dtype=torch.float64))  # off whole pixels
 
@@ -94,8 +94,8 @@ def test_rows_and_verification(cases: list[Case], use_depth: bool, paper: bool) 
             case.frame.images[level], case.frame.depth, cam[level], level, points, points.patch[level], everyone, T,
             np.array([0.05, 3.0]), noise, 12.0,
         )  # fmt: skip
-        counts = torch_choice.verify(*arguments)
-        assert counts == choice.verify(*arguments)
+        counts = TORCH.agreement.verify(*arguments)
+        assert counts == agreement.verify(*arguments)
         assert 0 < counts[1] < counts[0] < 500 and 0 < counts[3] <= counts[2]
 
 
@@ -149,8 +149,8 @@ def test_displacement(cases: list[Case]) -> None:
     cam = keyframe.frame.intrinsics[0]
     behind = np.diag([1.0, -1.0, -1.0, 1.0])
     for T_other in (NEAR.numpy(), np.eye(4), behind):
-        expected = choice.displacement(cam, keyframe.points, keyframe.coarse, T, T_other)
-        mine = torch_choice.displacement(cam, keyframe.points, keyframe.coarse, T, T_other)
+        expected = agreement.displacement(cam, keyframe.points, keyframe.coarse, T, T_other)
+        mine = TORCH.agreement.displacement(cam, keyframe.points, keyframe.coarse, T, T_other)
         assert mine == pytest.approx(expected, rel=1e-10)
     assert expected == np.inf
 

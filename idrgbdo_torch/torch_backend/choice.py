@@ -1,4 +1,4 @@
-"""What the choice of points reads, and verification, in torch: twin of kernels.choice.
+"""What the choice of points reads, in torch: twin of kernels.choice.
 
 Algorithm 1 itself has its torch definition in selection.select_informative.
 """
@@ -10,8 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..camera import Pinhole, backproject, inside, project
-from ..image import sample_surface, sample_with_gradient
+from ..camera import Pinhole, inside
 from ..kernels.choice import GRADIENT_NOISE
 from ..kernels.model import Noise, Points
 from ..photometric import (
@@ -23,9 +22,7 @@ from ..photometric import (
     residual_variance,
     warp,
 )
-from ..points import at_level
-from ..se3 import transform
-from .convert import Array, chosen, inverse_of_depth, pinhole, residual_noise
+from .convert import Array, chosen, residual_noise
 
 
 def whitened_rows(
@@ -58,40 +55,6 @@ def whitened_rows(
     rows = torch.where(seen[:, None, None], rows, 0.0)
     where = torch.where(seen[:, None], warped.centre, 0.0)
     return rows.numpy(), seen.numpy(), where.numpy()
-
-
-def verify(
-    image: Array, depth: Array, cam: Array, level: int, points: Points, patch: Array, index: Array, T: Array,
-    affine: Array, noise: Noise, limit: float,
-) -> tuple[int, int, int, int]:  # fmt: skip
-    """Twin of kernels.choice.verify: seen, agreeing in brightness, with depth, agreeing in depth."""
-    camera = pinhole(cam, image)
-    some = chosen(points, index)
-    uv, d = some.uv[0], some.inverse_depth[0]
-    warped = warp(camera, at_level(uv, level), d, torch.from_numpy(T), PATTERN_1)
-    value, _, valid = sample_with_gradient(torch.from_numpy(image), warped.centre)
-    seen = warped.valid & valid
-    a, b = torch.from_numpy(affine)
-    off = value - a.exp() * torch.from_numpy(patch)[torch.from_numpy(index), 0] - b
-    bright = seen & (off.abs() < limit)
-    at_full = (warped.centre + 0.5) * 2.0**level - 0.5
-    measured, _, on_surface = sample_surface(inverse_of_depth(depth), at_full, 0.1)
-    rho = 1 / torch.where(warped.valid, warped.P[:, 2], 1.0)
-    with_depth = seen & on_surface
-    tolerance = 4 * (noise.var_depth + some.variance[0]).sqrt() + 0.02 * rho
-    near = with_depth & ((measured - rho).abs() < tolerance)
-    return int(seen.sum()), int(bright.sum()), int(with_depth.sum()), int(near.sum())
-
-
-def displacement(cam: Array, points: Points, index: Array, T_a: Array, T_b: Array) -> float:
-    """Twin of kernels.choice.displacement: mean distance in px of the points at two poses, inf if none is in front."""
-    fx, fy, cx, cy = (float(x) for x in cam)
-    camera = Pinhole(width=1, height=1, fx=fx, fy=fy, cx=cx, cy=cy)  # only the projection is asked for
-    some = chosen(points, index)
-    P = backproject(camera, some.uv[0], some.inverse_depth[0])
-    (uv_a, front_a), (uv_b, front_b) = (project(camera, transform(torch.from_numpy(T), P)) for T in (T_a, T_b))
-    apart = (uv_a - uv_b).norm(dim=-1)[front_a & front_b]
-    return float(apart.mean()) if len(apart) else float("inf")
 
 
 def _factor(G: Tensor) -> Tensor:
