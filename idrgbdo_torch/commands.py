@@ -197,7 +197,9 @@ def track(
 
 
 def _from(sequence: datasets.RgbdSequence, first: int) -> Iterable[RgbdFrame | BrokenFrame]:
-    """The frames from number `first` on."""
+    """The frames from number `first` on, decoded ahead where the recording allows it."""
+    if isinstance(sequence, datasets.RecordedSequence):
+        return sequence.frames(first)
     return (sequence.read(number) for number in range(first, len(sequence))) if first else sequence
 
 

@@ -175,7 +175,7 @@ class Record:
 
     timestamp: float  # s
     result: TrackResult
-    decode_ms: float  # until the frame was there: reading, decoding, undistorting
+    decode_ms: float  # until the frame was there: what was not yet read, decoded and undistorted ahead
     track_ms: float | None  # in track() alone; None for a frame that could not be read
 
 

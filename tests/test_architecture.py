@@ -15,7 +15,7 @@ LONGEST = 300  # lines
 
 # from the ground up; a folder counts as one, and its files may import each other
 FLOORS = (
-    {"errors"},
+    {"errors", "prefetch"},
     {"se3", "camera", "image", "information", "solver", "kernels", "configfile", "open3d_loader"},  # mathematics
     {"frame", "trajectory", "config"},  # things
     {"odometry", "methods"},

@@ -13,7 +13,7 @@ from .formats import FORMATS, guess, read_recording
 from .realsense import RealSenseRecording, is_realsense
 from .recording import Options, RecordedSequence
 
-__all__ = ["FORMATS", "RgbdSequence", "guess", "open_sequence"]
+__all__ = ["FORMATS", "RecordedSequence", "RgbdSequence", "guess", "open_sequence"]
 
 
 class RgbdSequence(Protocol):

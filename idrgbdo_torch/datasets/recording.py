@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..camera import Pinhole
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
+from ..prefetch import prefetch
 from ..trajectory import Trajectory
 from .builder import FrameBuilder, depth_warnings
 from .calibration import Calibration
@@ -69,10 +70,11 @@ class Recording:
     depth_scale: float  # values per metre of uint16 depth, unless the user or the camera file says otherwise
     groundtruth: Trajectory | None = None
     warnings: tuple[str, ...] = ()
+    any_thread: bool = True  # `read` may be called in any thread, and in several at once
 
 
 class RecordedSequence:
-    """A recording as frames. Images are read when their turn comes, so memory does not grow with its length."""
+    """A recording as frames. They are decoded a few ahead of their turn, so memory does not grow with its length."""
 
     def __init__(self, recording: Recording, options: Options) -> None:
         """Choose the frames and read the first good one, which tells the image size.
@@ -108,7 +110,12 @@ class RecordedSequence:
         return len(self._chosen)
 
     def __iter__(self) -> Iterator[RgbdFrame | BrokenFrame]:
-        return (self.read(index) for index in range(len(self)))
+        return self.frames()
+
+    def frames(self, first: int = 0) -> Iterator[RgbdFrame | BrokenFrame]:
+        """The frames from number `first` on, decoded ahead where the format allows it."""
+        numbers = range(first, len(self))
+        return prefetch(self.read, numbers) if self._recording.any_thread else map(self.read, numbers)
 
     def read(self, index: int) -> RgbdFrame | BrokenFrame:
         """Frame number `index`; a BrokenFrame with the reason where a file is missing, damaged or of another size."""

@@ -64,6 +64,7 @@ def read(path: Path, options: Options) -> Recording:
         title=f"ROS {2 if bag.reader.is2 else 1} recording, {color.topic} and {depth.topic}",
         timestamps=[time for time, _, _ in frames],
         read=read_pair,
+        any_thread=False,  # SQLite's rule
         calibration=bag.calibration(color.topic) if options.camera is None else find_calibration(path, options.camera),
         depth_scale=DEPTH_SCALE,
         warnings=(
