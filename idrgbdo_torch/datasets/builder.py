@@ -67,7 +67,7 @@ class FrameBuilder:
 def metres(depth: NDArray[Any], depth_scale: float) -> NDArray[np.float32]:
     """(H, W) float32 metres, 0 where the raw depth is 0, saturated, negative or not finite."""
     if depth.dtype == np.uint16:
-        depth_m: NDArray[np.float32] = depth / np.float32(depth_scale)
+        depth_m = np.asarray(depth / np.float32(depth_scale), dtype=np.float32)
         depth_m[depth == SATURATED] = 0
         return depth_m
     scaled = depth.astype(np.float32) / np.float32(depth_scale)
