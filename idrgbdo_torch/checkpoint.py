@@ -1,6 +1,6 @@
 """The state of a run on disk, so that a run that was killed goes on where it was.
 
-The whole odometry is pickled with the records so far, and the continuation then is exact to the bit: window, prior,
+The whole odometry is pickled with the records so far, and the continuation then is the same to rounding: window, prior,
 random numbers and velocity are all there. Starting anew at the last written pose would need no such file, but loses the
 window and the motion, and the poses differ from there on. 60 MB at 640x480, most of it the images of the window, take
 0.2 s to write; so one is written only when 30 times that has passed since the last: at most 3 % of the time is spent,

@@ -33,8 +33,9 @@ LATER = 3
 class EdgeSums:
     """Sums over the frames seen so far, for each lag (frames by which depth is late)."""
 
-    surfaces: dict[int, NDArray[np.float64]] = field(default_factory=dict)  # (2 REACH + 1, 2 REACH + 1), rows v
+    spectra: dict[int, Spectrum] = field(default_factory=dict)  # of the correlation
     weights: dict[int, float] = field(default_factory=dict)
+    shape: tuple[int, int] = (0, 0)  # of the images, padded
     pixels: float = 0.0
     frames: int = 0
     zoom: float = 1.0  # px of the recording per reduced px
@@ -43,37 +44,40 @@ class EdgeSums:
         """Add a run of neighbouring frames."""
         spectra = [self._spectra(sample) for sample in run]
         for lag in LAGS:
-            for i, (_, edges, counts, shape) in enumerate(spectra):
+            for i, (_, edges, count) in enumerate(spectra):
                 if not 0 <= i - lag < len(run):
                     continue
                 colors = spectra[i - lag][0]
-                for color, edge, count in zip(colors, edges, counts, strict=True):
-                    surface = np.fft.irfft2(color * np.conj(edge), shape)
-                    middle = np.roll(surface, (REACH, REACH), axis=(0, 1))[: 2 * REACH + 1, : 2 * REACH + 1]
-                    self.surfaces[lag] = self.surfaces.get(lag, np.zeros(middle.shape)) + middle
-                    self.weights[lag] = self.weights.get(lag, 0.0) + count
+                product = sum(color * np.conj(edge) for color, edge in zip(colors, edges, strict=True))
+                self.spectra[lag] = self.spectra.get(lag, np.zeros((), np.complex64)) + product
+                self.weights[lag] = self.weights.get(lag, 0.0) + count
 
-    def _spectra(self, sample: Sample) -> tuple[list[Spectrum], list[Spectrum], list[float], tuple[int, int]]:
-        """Of the colour and of the depth edges across both axes; counts of the latter; shape of the images."""
+    def _spectra(self, sample: Sample) -> tuple[list[Spectrum], list[Spectrum], float]:
+        """Of the colour and of the depth edges across both axes, and how many pixels the latter have."""
         gray, depth, self.zoom = reduced(sample)
         inside = np.zeros(gray.shape, np.float32)
         inside[BORDER:-BORDER, BORDER:-BORDER] = 1.0
-        shape = (cv2.getOptimalDFTSize(gray.shape[0] + REACH), cv2.getOptimalDFTSize(gray.shape[1] + REACH))
-        colors, edges, counts = [], [], []
+        self.shape = (cv2.getOptimalDFTSize(gray.shape[0] + REACH), cv2.getOptimalDFTSize(gray.shape[1] + REACH))
+        colors, edges, count = [], [], 0.0
         for axis in (0, 1):
             color = color_edges(gray, axis)
             color = (color - color.mean()) / max(float(color.std()), 1e-6) * inside
             edge = depth_edges(depth, axis) * inside
-            colors.append(np.fft.rfft2(color, shape).astype(np.complex64))
-            edges.append(np.fft.rfft2(edge, shape).astype(np.complex64))
-            counts.append(float(edge.sum()))
-        self.pixels += sum(counts)
+            colors.append(np.fft.rfft2(color, self.shape).astype(np.complex64))
+            edges.append(np.fft.rfft2(edge, self.shape).astype(np.complex64))
+            count += float(edge.sum())
+        self.pixels += count
         self.frames += 1
-        return colors, edges, counts, shape
+        return colors, edges, count
+
+    def _surface(self, lag: int) -> NDArray[np.float64]:
+        """(2 REACH + 1, 2 REACH + 1) mean agreement of a depth edge's pixel at every shift of the colour."""
+        surface = np.fft.irfft2(self.spectra[lag], self.shape) / max(self.weights[lag], 1.0)
+        return np.roll(surface, (REACH, REACH), axis=(0, 1))[: 2 * REACH + 1, : 2 * REACH + 1].astype(np.float64)
 
     def fit(self) -> EdgeFit:
         """Lag and shift at which the edges agree best."""
-        means = {lag: surface / max(self.weights[lag], 1.0) for lag, surface in self.surfaces.items()}
+        means = {lag: self._surface(lag) for lag in self.spectra}
         if not means or self.pixels < FEWEST * self.frames:
             return EdgeFit(means, 0, 0.0, (0.0, 0.0), 0.0, 1.0)
         peaks = {lag: float(mean.max()) for lag, mean in means.items()}
