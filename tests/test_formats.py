@@ -187,7 +187,9 @@ def test_registration_agrees_with_rendering_and_leaves_no_holes_where_depth_is_c
     assert np.allclose(registered[box], 0.8, atol=1e-6)
     background = ~near & (u > 30) & (u < 290) & (v > 20) & (v < 220)
     assert (registered[background] > 0).mean() == 1
-    assert np.abs(registered - expected)[background].max() < 0.006
+    errors = (registered - expected)[background]
+    assert np.abs(errors).max() < 0.0025
+    assert abs(errors.mean()) < 0.0003  # no shift by a part of a pixel
 
 
 def test_cameras_in_one_place_are_registered_by_a_map() -> None:
