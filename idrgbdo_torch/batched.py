@@ -177,9 +177,8 @@ def depth_rows(
     assert target.inverse_depth is not None  # the caller has looked
     d = torch.where(points.inverse_depth > 0, points.inverse_depth, 1.0)
     warped = warp(target.camera, points.uv, d, T, PATTERN_1)
-    image = target.inverse_depth.to(d)
-    term = depth_residual(image, warped)
-    slope = sample_surface(image, warped.centre)[1] * 2.0**target.level  # 1/m per px of the level
+    term = depth_residual(target.inverse_depth, warped)
+    slope = sample_surface(target.inverse_depth, warped.centre)[1] * 2.0**target.level  # 1/m per px of the level
     stretch = 1 / (torch.where(warped.valid, warped.P[..., 2], 1.0) * d) ** 2  # d rho / d d, up to the small t_z term
     position = noise.shared * noise.sigma_pixel**2 * slope.square().sum(-1)
     variance = noise.sigma_depth**2 + stretch**2 * points.variance + position

@@ -256,3 +256,28 @@ def test_wrong_shapes_are_named() -> None:
         align_pairs(world.host(), world.gray[:1], CAMERA)
     with pytest.raises(IdRgbdoError, match="levels"):
         align_pairs(replace(world.host(), patch=()), world.gray, CAMERA)
+
+
+@pytest.mark.parametrize("use_depth", [True, False])
+def test_single_precision_measures_the_same(use_depth: bool) -> None:
+    world = planes(3, seed=12)
+    noise = replace(residual_noise(), use_depth=use_depth, huber=1e3)  # no kinks that rounding decides at
+    inverse_depth = 1 / world.depth
+    systems = []
+    for dtype in (torch.float64, torch.float32):
+        host = world.host()
+        host = HostPoints(
+            host.uv.to(dtype), host.inverse_depth.to(dtype), host.variance.to(dtype),
+            tuple(x.to(dtype) for x in host.patch), tuple(x.to(dtype) for x in host.gradient),
+        )  # fmt: skip
+        target = Target(0, world.gray.to(dtype), CAMERA, inverse_depth.to(dtype))
+        systems.append(linearise_pairs(host, target, world.T, torch.zeros(3, 2, dtype=dtype), noise))
+    double, single = systems
+    unit = double.H.diagonal(dim1=1, dim2=2).rsqrt()
+    H, H32 = (unit[:, :, None] * system.H * unit[:, None] for system in systems)
+    torch.testing.assert_close(H32, H, rtol=0, atol=1e-5)
+    size = float((unit * double.b).abs().max())
+    # a position in px is rounded at 1e-5 px, and residuals of thousands of gray levels cancel in b
+    torch.testing.assert_close(unit * single.b, unit * double.b, rtol=0, atol=3e-4 * size)
+    torch.testing.assert_close(single.energy, double.energy, rtol=1e-5, atol=0)
+    assert torch.equal(single.kept, double.kept)
