@@ -135,11 +135,12 @@ def track(
     figures: bool = False,
     viewer: Viewer | None = None,
     map_kind: str = "points",
-    resume: bool = False,
+    resume: bool | None = None,
     source: Callable[[Path], None] = lambda folder: None,
 ) -> int:
     """Track a sequence into a run folder, evaluate it where there is ground truth, and show the table.
 
+    resume: go on with the interrupted run in the folder; None where that can never be, so no checkpoint is kept.
     source: leaves in the folder what was tracked.
     """
     for warning in sequence.warnings:
@@ -156,20 +157,22 @@ def track(
     snapshots: list[Snapshot] = state.extras
     folder = RunFolder(path, configfile.dump(config))
     source(path)
-    checkpoints = Checkpoints(path, identity)
+    checkpoints = None if resume is None else Checkpoints(path, identity)
     count_statuses = status_counter()
     pictures = folder.path / "figures"
     with folder, stop_at_interrupt() as stopped, progress_bar(title, len(sequence)) as advance:
         for record in records:
             folder.append(record)
             advance(count_statuses(record))
-        checkpoints.write(state)
+        if checkpoints:
+            checkpoints.write(state)
 
         def on_record(record: Record) -> None:
             folder.append(record)
             records.append(record)
             advance(count_statuses(record))
-            checkpoints.offer(state)
+            if checkpoints:
+                checkpoints.offer(state)
 
         picks = {number - done_before for number in _spread_out(len(sequence))}
         frames = watch(_until(stopped, _from(sequence, done_before)), method, picks, snapshots)
@@ -177,7 +180,8 @@ def track(
             frames = viewer.stream(frames, method, records, sequence.groundtruth)
         frames = draw_frames(frames, method, records, pictures) if figures else frames
         done = odometry.run(method, frames, on_record, tuple(records))
-        checkpoints.write(state)  # an interrupted run goes on here; a finished one drops it at the end
+        if checkpoints:  # an interrupted run goes on here; a finished one drops it at the end
+            checkpoints.write(state)
         evaluation, rows = _evaluated(done, method, sequence.groundtruth)
         if figures and records:
             save(pictures / "trajectory.png", _from_above(done, evaluation, sequence.groundtruth))
@@ -187,10 +191,10 @@ def track(
     if done.records:
         page = run_page(folder.path, title, sequence.groundtruth, snapshots)
         (folder.path / "report.html").write_text(page, encoding="utf-8")
-    if not stopped:
+    if checkpoints and not stopped:
         checkpoints.remove()
     looked_at = f"{title}, interrupted" if stopped else title
-    again = [("go on with", "the same command and --resume")] if stopped else []
+    again = [("go on with", "the same command and --resume")] if checkpoints and stopped else []
     results = [("results in", str(folder.path)), ("look at", str(folder.path / "report.html"))]
     show_table(looked_at, [*run_rows(done, summary), *rows, *again, *(results if done.records else results[:1])])
     return INTERRUPTED if stopped else 0
