@@ -47,7 +47,7 @@ class ExperimentCommand:
 def experiment(command: ExperimentCommand) -> int:
     """Run the experiment, or all of them; write and show what came out."""
     from .experiments import NAMES, run_experiment
-    from .experiments.lab import write_report
+    from .experiments.lab import write_index, write_report
 
     names = NAMES if command.name == "all" else (command.name,)
     lab = _lab(command, all(name in ("fig7", "fig8") for name in names))
@@ -56,7 +56,8 @@ def experiment(command: ExperimentCommand) -> int:
         begin = time.monotonic()
         report = run_experiment(name, lab)
         written = write_report(report, name, lab.out)
-        _show(report, written, time.monotonic() - begin)
+        index = write_index(lab.out, NAMES, _command_line(command))
+        _show(report, [index, *written], time.monotonic() - begin)
     return 0
 
 
@@ -96,6 +97,17 @@ def _lab(command: ExperimentCommand, only_cost: bool) -> Lab:
         paper=paper,
         progress=_progress,
     )
+
+
+def _command_line(command: ExperimentCommand) -> str:
+    """The command with the flags that shape its numbers."""
+    words = ["idrgbdo experiment", command.name]
+    for name in ("rendered", "quick"):
+        words += [f"--{name}"] if getattr(command, name) else []
+    for name in ("sequences", "frames", "seeds"):
+        words += [f"--{name} {value}"] if (value := getattr(command, name)) else []
+    words += ["--data FOLDER"] if command.data else []
+    return " ".join(words + (["--trajectories FOLDER"] if command.trajectories else []))
 
 
 def _cores() -> int:

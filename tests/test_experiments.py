@@ -100,7 +100,7 @@ def test_table1_and_fig1(lab: Lab) -> None:
     assert {path.stem for path in few.out.glob("table1*.csv")} == {
         *("table1_rpe", "table1_ate", "table1_lost", "table1_ms", "table1_total")
     }
-    assert "24 points take" in report(few, "fig1")[0]
+    assert "ms with 24 points" in report(few, "fig1")[0]
 
 
 def test_fig6_and_the_ablation(lab: Lab) -> None:
@@ -269,4 +269,6 @@ def test_the_command(lab: Lab, capsys: pytest.CaptureFixture[str]) -> None:
     shown = capsys.readouterr()
     assert "| fr2_xyz | 24 |" in shown.out and "fig5.csv" in shown.out
     assert np.isfinite([float(row["mean K2FE mm"]) for row in rows_of(lab.out / "fig5.csv")]).all()
+    index = (lab.out / "results.md").read_text()
+    assert "`idrgbdo experiment fig5 --quick --seeds 2 --data FOLDER`" in index and "## Fig. 5" in index
     assert set(NAMES) > {"fig5"}

@@ -134,17 +134,17 @@ def window_case(scene: Scene, points: int, keyframes: int) -> Case:
 
 
 def median_ms(cases: Sequence[Case], repeats: int) -> list[float]:
-    """The median time of a call of each case. They take turns, so that whatever else the machine does hits all alike.
+    """The median time of a call of each case: processor time of this thread, which is all that the cases use.
 
-    The first two rounds do not count.
+    They take turns, so that whatever else the machine does hits all alike. The first two rounds do not count.
     """
     times: list[list[float]] = [[] for _ in cases]
     for number in range(repeats + 2):
         for case, own in zip(cases, times, strict=True):
-            begin = time.perf_counter_ns()
+            begin = time.thread_time_ns()
             case()
             if number >= 2:
-                own.append((time.perf_counter_ns() - begin) / 1e6)
+                own.append((time.thread_time_ns() - begin) / 1e6)
     return [median(own) for own in times]
 
 

@@ -7,10 +7,13 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import TYPE_CHECKING
 
+from .. import __version__
+from ..comparison.outcome import machine_name
 from ..config import Config
 from ..datasets import open_sequence
 from ..errors import IdRgbdoError
@@ -132,6 +135,17 @@ def write_report(report: Report, name: str, out: Path) -> list[Path]:
     page = out / f"{name}.md"
     page.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return [page, *written]
+
+
+def write_index(out: Path, names: Sequence[str], command: str) -> Path:
+    """OUT/results.md: the pages of all experiments that are there, and what made the last of them."""
+    pages = [out / f"{name}.md" for name in names if (out / f"{name}.md").exists()]
+    date = datetime.now(UTC).strftime("%Y-%m-%d")
+    head = f"# Results\n\nLast made by `{command}` on {date}, version {__version__}, {machine_name()}.\n"
+    bodies = ["#" + page.read_text(encoding="utf-8") for page in pages]
+    index = out / "results.md"
+    index.write_text("\n".join([head, *bodies]), encoding="utf-8")
+    return index
 
 
 def markdown(table: Table) -> list[str]:

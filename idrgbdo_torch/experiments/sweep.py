@@ -21,7 +21,7 @@ Result = dict[str, Any]
 RETRIES = 1  # of a task that raises
 KILLS = 3  # times that a process may die with a task in it or beside it
 AHEAD = 2  # tasks a worker has waiting, so that it never waits itself
-IDLE_S = 60  # that processes wait for the next sweep
+IDLE_S = 600  # that processes wait for the next sweep
 ONE_THREAD = {
     f"{library}_NUM_THREADS": "1" for library in ("OMP", "MKL", "OPENBLAS", "NUMBA", "NUMEXPR", "VECLIB_MAXIMUM")
 } | {"OPENCV_FOR_THREADS_NUM": "1"}  # times of tasks side by side stay fair
