@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 class CompareCommand:
     """Run methods over recordings and lay accuracy, losses, speed and memory side by side. A second call goes on."""
 
-    sequences: Positional[tuple[Path, ...]]  # folders with rgb.txt and depth.txt, as TUM publishes them
+    sequences: Positional[tuple[Path, ...]]  # as for `idrgbdo run`
     methods: str = "all"  # names with commas between; `list` shows them
     add: Path | None = None  # Python file whose METHODS come as well
     external: UseAppendAction[tuple[str, ...]] = ()  # NAME[@SEQUENCE]=FILE: a trajectory of another program, TUM text
