@@ -13,7 +13,9 @@ from faults import Frames, Recording, dropped, late_depth, moved_depth, other_ca
 from rendered import Film
 
 from idrgbdo_torch.check import Report, Verdict, check
+from idrgbdo_torch.check.images import edge_width
 from idrgbdo_torch.check.picture import draw
+from idrgbdo_torch.check.timing import timing
 from idrgbdo_torch.cli import main
 from idrgbdo_torch.datasets import open_sequence
 from idrgbdo_torch.frame import BrokenFrame, RgbdFrame
@@ -205,3 +207,29 @@ def test_the_command_shows_one_screen_and_a_picture(
     assert cv2.imread(str(tmp_path / "good.png")) is not None
     assert main(["check", str(folder), "--depth-scale", "5000", "--out", str(tmp_path / "bad.png")]) == 1
     assert "faults: depth scale" in capsys.readouterr().out
+
+
+def test_gaps_are_counted_in_frames_whatever_the_jitter() -> None:
+    times = np.arange(100) / 30 + np.random.default_rng(0).uniform(-0.002, 0.002, 100)
+    whole = timing(times.tolist())
+    assert whole is not None
+    assert whole.missing == 0
+    assert whole.period_s == pytest.approx(1 / 30, rel=0.03)
+    gap = timing(np.delete(times, range(40, 47)).tolist())
+    assert gap is not None
+    assert gap.missing == 7
+    assert gap.longest_s == pytest.approx(8 / 30, abs=0.005)
+    assert gap.missing_share == pytest.approx(0.07)
+    slow = timing(times[::20].tolist())
+    assert slow is not None
+    assert slow.missing == 0
+    assert timing([0.0, 0.1]) is None
+
+
+def test_edges_width_grows_with_blur() -> None:
+    step = np.zeros((100, 100), np.float32)
+    step[:, 50:] = 200.0
+    widths = [edge_width(cv2.GaussianBlur(step, (0, 0), sigma)) for sigma in (0.8, 1.5, 2.5)]
+    for width, sigma in zip(widths, (0.8, 1.5, 2.5), strict=True):
+        assert width == pytest.approx(np.sqrt(2 * np.pi) * sigma, rel=0.45)  # range over the slope of a blurred step
+    assert np.isnan(edge_width(np.full((50, 50), 7.0, np.float32)))

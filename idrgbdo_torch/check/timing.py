@@ -51,11 +51,10 @@ def lists(folder: Path) -> Lists | None:
     color, depth = (_times(folder / name) for name in ("rgb.txt", "depth.txt"))
     if len(color) == 0 or len(depth) == 0:
         return None
-    after = np.clip(np.searchsorted(depth, color), 1, max(len(depth) - 1, 1))
-    before = depth[after - 1] - color
-    delay = np.where(
-        np.abs(before) <= np.abs(depth[after % len(depth)] - color), before, depth[after % len(depth)] - color
-    )
+    index = np.searchsorted(depth, color)
+    before = depth[np.maximum(index - 1, 0)] - color
+    after = depth[np.minimum(index, len(depth) - 1)] - color
+    delay = np.where(np.abs(before) < np.abs(after), before, after)
     return Lists(len(color), len(depth), float(np.median(delay)))
 
 
