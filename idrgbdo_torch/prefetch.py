@@ -9,16 +9,16 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
 AHEAD = 8  # frames that are decoded, or being decoded, before they are asked for; 27 MB at 640x480
-MOST_THREADS = 2  # one PNG of colour and one of depth take longer to decode than to track
+MOST_THREADS = 4  # the PNGs of a frame take several times as long to decode as the frame to track
 
 T = TypeVar("T")
 Key = TypeVar("Key")
 
 
 def decoding_threads() -> int:
-    """How many threads decode: at most two, and not more than there are cores to use."""
+    """How many threads decode: one core is left to the tracker, so that its times are its own."""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(MOST_THREADS, usable)
+    return max(1, min(MOST_THREADS, usable - 1))
 
 
 def prefetch(

@@ -119,8 +119,9 @@ def entropy_over_time(times: Sequence[float], bits: Sequence[Sequence[float]], k
             x=list(times), y=list(values), mode="lines", name=name, line={"color": color, "width": 1.6},
             hovertemplate="%{y:.2f} bits at %{x:.2f} s",
         )  # fmt: skip
-    for time in keyframes:
-        figure.add_vline(x=time, line={"color": "#9aa5b1", "width": 1, "dash": "dot"})
+    line = {"type": "line", "yref": "paper", "y0": 0, "y1": 1, "line": {"color": "#9aa5b1", "width": 1, "dash": "dot"}}
+    # all at once: add_vline() copies those that are there
+    figure.update_layout(shapes=[{**line, "x0": time, "x1": time} for time in keyframes])
     figure.update_xaxes(title="s")
     figure.update_yaxes(title="bits")
     return _styled(figure, "entropy per degree of freedom; dotted: keyframes", 400)
