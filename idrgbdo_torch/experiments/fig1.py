@@ -99,8 +99,10 @@ def draw(outcomes: Sequence[Outcome], images: Sequence[Array], picks: Sequence[i
     figure = new_figure(columns=2, rows=2, height=4.0)
     positions = np.concatenate([outcome.positions for outcome in outcomes])
     across, along = _plane(positions)
-    view = np.concatenate([outcome.cloud for outcome in outcomes] + [positions]) @ np.stack([across, along], 1)
-    low, high = np.percentile(view, 1, axis=0), np.percentile(view, 99, axis=0)
+    onto = np.stack([across, along], 1)  # (3, 2)
+    cloud, path = np.concatenate([outcome.cloud for outcome in outcomes]) @ onto, positions @ onto
+    low = np.minimum(np.percentile(cloud, 1, axis=0), path.min(axis=0) - 0.1)
+    high = np.maximum(np.percentile(cloud, 99, axis=0), path.max(axis=0) + 0.1)
     for axes, outcome in zip(figure.axes[:2], outcomes, strict=True):
         axes.scatter(outcome.cloud @ across, outcome.cloud @ along, s=0.6, c=outcome.colors, linewidths=0)
         for other, shade in zip(outcomes, (BLUE, MAGENTA), strict=True):
