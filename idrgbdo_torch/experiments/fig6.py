@@ -16,8 +16,8 @@ from .task import Measured, Task
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FACTORS = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 6.0, 10.0)  # of the default threshold
-QUICK_FACTORS = (0.1, 0.3, 0.6, 1.0, 1.7, 3.0, 6.0)
+FACTORS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 6.0, 10.0)  # of the default threshold
+QUICK_FACTORS = (0.02, 0.1, 0.3, 0.6, 1.0, 1.7, 3.0, 6.0)
 FLAT = 1.03  # so much above the minimum is still "at the minimum"
 Criterion = Literal["bits", "ratio"]
 
