@@ -93,8 +93,12 @@ def write_bag(
     depth: Encode = metres,
     topics: tuple[str, str] = ("/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw"),
     delay_s: float = 0.004,
+    burst: bool = False,
 ) -> Path:
-    """The film as a recording at `path`; depth comes delay_s later and is recorded before its colour image."""
+    """The film as a recording at `path`; depth comes delay_s later and is recorded before its colour image.
+
+    burst: everything was recorded at one time, as on a machine that was busy.
+    """
     messages = Messages(version)
     writer = Writer1(path) if version == 1 else Writer2(path, version=9, storage_plugin=plugin)
     with writer:
@@ -104,7 +108,7 @@ def write_bag(
             kind, message = made
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, kind, typestore=messages.store)
-            writer.write(connections[topic], at, messages.bytes(kind, message))
+            writer.write(connections[topic], START * 10**9 if burst else at, messages.bytes(kind, message))
 
         for frame in film.frames:
             stamp = START * 10**9 + round(frame.timestamp * 1e6) * 1000

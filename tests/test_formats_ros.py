@@ -17,7 +17,7 @@ from numpy.testing import assert_array_equal
 from rendered import Film
 from rosbags.rosbag2 import StoragePlugin
 
-from idrgbdo_torch import IdRgbdo
+from idrgbdo_torch import IdRgbdo, Pinhole
 from idrgbdo_torch.datasets import RgbdSequence, guess, open_sequence
 from idrgbdo_torch.datasets.ros_images import color_image, depth_image
 from idrgbdo_torch.errors import IdRgbdoError
@@ -152,6 +152,46 @@ def test_headers_without_time_fall_back_on_the_time_of_recording(film: Film, tmp
     sequence = open_sequence(write_bag(short, tmp_path / "film.bag", color=timeless, depth=timeless))
     assert sequence.timestamps == pytest.approx([START + f.timestamp + 0.03 for f in short.frames], abs=1e-6)
     assert all(isinstance(frame, RgbdFrame) for frame in sequence)
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_images_recorded_at_one_time_are_told_apart(film: Film, tmp_path: Path, version: int) -> None:
+    short = Film(film.frames[:5], film.groundtruth)
+    path = write_bag(short, tmp_path / ("a.bag" if version == 1 else "a"), version, burst=True)
+    for frame, expected in zip(open_sequence(path), short.frames, strict=True):
+        assert isinstance(frame, RgbdFrame)
+        assert_array_equal(frame.depth.numpy(), expected.depth.numpy())
+        np.testing.assert_allclose(frame.gray.numpy(), expected.gray.numpy(), atol=1e-3)
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_whatever_is_damaged_there_is_no_traceback(tmp_path: Path, version: int) -> None:
+    """Bytes changed or cut off at random: frames, broken frames, or one IdRgbdoError; nothing else is raised."""
+    rng = np.random.default_rng(version)
+    camera = Pinhole(width=16, height=12, fx=15, fy=15, cx=7.5, cy=5.5)
+    images = torch.full((12, 16), 9.0), torch.full((12, 16), 1.5), camera, torch.full((12, 16, 3), 9, dtype=torch.uint8)
+    tiny = Film(tuple(RgbdFrame(k / 30, *images) for k in range(5)), Trajectory(*_still(5)))
+    path = write_bag(tiny, tmp_path / ("a.bag" if version == 1 else "a"), version)
+    whole = (path if version == 1 else next(path.glob("*.mcap"))).read_bytes()
+    damaged = tmp_path / f"damaged{'.bag' if version == 1 else '.mcap'}"
+    refused = 0
+    for attempt in range(150):
+        data = bytearray(whole)
+        for place in rng.integers(len(data), size=3):
+            data[place] = rng.integers(256)
+        damaged.write_bytes(data[: rng.integers(len(data))] if attempt % 5 == 0 else data)
+        try:
+            for frame in open_sequence(damaged):
+                assert isinstance(frame, RgbdFrame | BrokenFrame)
+        except IdRgbdoError as error:
+            refused += 1
+            assert str(damaged) in str(error)
+    assert 30 <= refused < 150
+
+
+def _still(frames: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Times and poses of a camera that does not move."""
+    return torch.arange(frames, dtype=torch.float64), torch.eye(4, dtype=torch.float64).repeat(frames, 1, 1)
 
 
 def test_damaged_and_foreign_files_are_one_line(film: Film, tmp_path: Path) -> None:

@@ -33,7 +33,10 @@ COLORFUL = re.compile(r"rgb|colou?r", re.IGNORECASE)
 Stamp = tuple[float, int]  # s of the header, ns at which it was recorded
 
 # what rosbags raises for damaged content besides its own errors
-DAMAGE = (AssertionError, ArithmeticError, EOFError, LookupError, OSError, RuntimeError, ValueError, struct.error)
+DAMAGE = (
+    *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, OSError, RuntimeError, ValueError),
+    *(MemoryError, TypeError, struct.error),  # a damaged length asks for any amount of memory
+)
 
 
 def recognise(path: Path) -> bool:
@@ -54,10 +57,11 @@ def read(path: Path, options: Options) -> Recording:
     def read_pair(index: int) -> RawPair:
         _, of_color, of_depth = frames[index]
         where = f"{path}, frame {index}"
-        return (
-            color_image(bag.message(color, of_color), f"{where}, {color.topic}"),
-            depth_image(bag.message(depth, of_depth), f"{where}, {depth.topic}"),
-        )
+        with _damage_named(where):
+            return (
+                color_image(bag.message(color, of_color), f"{where}, {color.topic}"),
+                depth_image(bag.message(depth, of_depth), f"{where}, {depth.topic}"),
+            )
 
     return Recording(
         name=path.stem if path.is_file() else path.resolve().name,
@@ -135,9 +139,10 @@ class _Bag:
         infos = [c for c in self.reader.connections if c.msgtype == INFO_TYPE]
         for connection in infos:
             if connection.topic.rsplit("/", 1)[0] == namespace:
+                where = f"{self._path}, {connection.topic}"
                 for _, data in self._messages(connection):
-                    message = self._decode(data, connection)
-                    return _calibration(message, "rect" in color_topic, f"{self._path}, {connection.topic}")
+                    with _damage_named(where):
+                        return _calibration(self._decode(data, connection), "rect" in color_topic, where)
         raise IdRgbdoError(
             f"{self._path}: expected '{namespace}/camera_info', found {', '.join(c.topic for c in infos) or 'none'}; "
             "pass --camera F.toml with fx, fy, cx, cy"
@@ -165,10 +170,10 @@ class _Bag:
         with _damage_named(f"{self._path}, {connection.topic}"):
             return self.reader.deserialize(data, connection.msgtype)
 
-    @staticmethod
-    def _stamp(message: Any) -> float:
-        stamp = message.header.stamp
-        return float(stamp.sec + stamp.nanosec * 1e-9)
+    def _stamp(self, message: Any) -> float:
+        with _damage_named(str(self._path)):
+            stamp = message.header.stamp
+            return float(stamp.sec + stamp.nanosec * 1e-9)
 
 
 def _open(path: Path) -> AnyReader:
@@ -194,6 +199,8 @@ def _damage_named(where: str) -> Iterator[None]:
 
     try:
         yield
+    except IdRgbdoError:
+        raise
     except (AnyReaderError, Error1, Error2, *DAMAGE) as error:
         raise IdRgbdoError(f"{where}: the recording is damaged ({error}); repair or record it again") from error
 
