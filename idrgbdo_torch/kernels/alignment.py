@@ -8,7 +8,7 @@ import numpy as np
 
 from .compiled import kernel
 from .lie import log_se3, retract
-from .linear import solve_spd
+from .linear import dot, multiply, solve_spd
 from .linearisation import linearise
 
 
@@ -73,7 +73,7 @@ def align(
                 solved, step = solve_spd(A, b)
                 if not solved:
                     break
-                change = sqrt(max(0.0, np.dot(step, b)))
+                change = sqrt(max(0.0, dot(step, b)))
                 T_new = retract(step[:6], T)
                 affine_new = affine + step[6:]
                 energy_new, seen_new, kept_new = linearise(
@@ -121,11 +121,12 @@ def align(
 @kernel
 def prior_terms(H, b, T, affine, affine_centre, prior, T_prior_inv, affine_prior):
     """Add the motion prior (Eq. 19) and the brightness prior to H and b; returns their energy."""
-    from_prior = log_se3(T @ T_prior_inv)
-    pull = prior @ from_prior
-    energy = np.dot(from_prior, pull)
+    from_prior = log_se3(multiply(T, T_prior_inv))
+    energy = 0.0
     for i in range(6):
-        b[i] -= pull[i]
+        pull = dot(prior[i], from_prior)
+        energy += pull * from_prior[i]
+        b[i] -= pull
         for j in range(6):
             H[i, j] += prior[i, j]
     off0 = affine[0] - affine_centre[0]
