@@ -56,7 +56,9 @@ def align(
         if level == 0 or level == steps.shape[0] - 1:  # other points, or none so far to tell the scale
             rms = np.empty(index.shape[0])
             linearise(image, depth, cam, level, points, index, pixels, T, affine, 1.0, 1e9, noise, H, b, rms)
-        for _ in range(1 if coarse else 2):  # the second round works with the outlier limit from the first
+        rounds = 1 if coarse else 2  # the second one works with the outlier limit from the first
+        for turn in range(rounds):
+            settled = 1.0 if coarse else (0.5 if turn == 0 else 0.1)  # standard deviations
             scale = robust_scale(rms)
             limit = noise.outlier
             energy, seen, kept = linearise(
@@ -100,7 +102,7 @@ def align(
                     damping = max(4.0 * damping, 0.1)
                     if damping > 1e4:
                         break
-                if change < (0.1 if level == 0 else 1.0):
+                if change < settled:
                     break
             total += iterations
         if level == 1:
