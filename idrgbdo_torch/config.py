@@ -19,7 +19,7 @@ class NoiseConfig:
 
     variance: Literal["first_order", "paper"] = "first_order"  # (g . dp/dd)^2, or the printed sum of squares
     sigma_intensity: Positive = 4.0  # gray levels, of one pixel (LSD-SLAM)
-    sigma_pixel: NonNegative = 0.15  # px, position: calibration, blur, interpolation; shared by a patch
+    sigma_pixel: NonNegative = 0.1  # px, position: calibration, blur, interpolation; shared by a patch
     blur: NonNegative = 0.05  # px of position noise a px by which the image speeds of frame and keyframe differ
     sigma_disparity: Positive = 0.1  # px, of the depth sensor
     focal_baseline: Positive = 40.0  # px m, f * b of Eq. 10 (Kinect)

@@ -25,7 +25,7 @@ FIXED = np.array(
 )  # information that holds the first keyframe: gauge and brightness
 BRIGHTNESS = np.array([0.0] * 6 + [1.0 / 0.2**2, 1.0 / 20.0**2])  # weak prior of every other keyframe
 ITERATIONS = 4
-SETTLED = 2.0  # standard deviations; a smaller step ends the optimisation
+SETTLED = 1.0  # standard deviations; a smaller step ends the optimisation
 TOLERANCE = (
     1.02  # a step may raise the cost so much: points crossing a limit make it jump by more than the step is worth
 )
