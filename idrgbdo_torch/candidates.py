@@ -75,9 +75,8 @@ def extract_candidates(frame: Frame, config: Config, rng: Generator) -> tuple[Ar
     edges = cv2.Canny(frame.images[0].astype(np.uint8), *CANNY, L2gradient=True)
     grid = max(EVERYWHERE, round(float(np.sqrt(width * height / config.selection.candidates))))
     cell = EVERYWHERE if mode == "inf" else grid
-    uv, inv_depth, tier = fused.grid_candidates(
-        gradient2, thresholds, BLOCK, edges, frame.depth, cell, BORDER, PLANE_RADIUS, sigma
-    )
+    scores = fused.candidate_scores(gradient2, thresholds, BLOCK, edges, frame.depth)
+    uv, inv_depth, tier = fused.grid_candidates(scores, frame.depth, cell, BORDER, PLANE_RADIUS, sigma)
     return uv, inv_depth, tier
 
 

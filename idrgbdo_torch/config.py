@@ -19,7 +19,7 @@ class NoiseConfig:
 
     variance: Literal["first_order", "paper"] = "first_order"  # (g . dp/dd)^2, or the printed sum of squares
     sigma_intensity: Positive = 4.0  # gray levels, of one pixel (LSD-SLAM)
-    sigma_pixel: NonNegative = 0.15  # px, position: calibration, blur, interpolation; shared by a patch
+    sigma_pixel: NonNegative = 0.1  # px, position: calibration, blur, interpolation; shared by a patch
     blur: NonNegative = 0.05  # px of position noise a px by which the image speeds of frame and keyframe differ
     sigma_disparity: Positive = 0.1  # px, of the depth sensor
     focal_baseline: Positive = 40.0  # px m, f * b of Eq. 10 (Kinect)
@@ -38,7 +38,7 @@ class SelectionConfig:
     points: Count = 24
     per_frame: bool = True  # choose anew for every frame among those the predicted pose sees, or once a keyframe
     objective: Literal["bits", "paper"] = "bits"  # Eq. 18 in bits with a weighted spread, or as printed
-    candidates: Count = 1200  # kept per keyframe
+    candidates: Count = 800  # kept per keyframe
     margin: NonNegative = 20.0  # px inside the image
     spread: NonNegative = 0.25  # bits, weight of the second term of Eq. 18
     c_z: NonNegative = 25.0  # its sharpness: half weight at a fifth of the image radius

@@ -81,9 +81,10 @@ def prepare(rgbd: RgbdFrame) -> Frame:
         height, width = images[-1].shape
         even = images[-1][: max(height // 2, 1) * 2, : max(width // 2, 1) * 2]
         images.append(cv2.resize(even, (max(width // 2, 1), max(height // 2, 1)), interpolation=cv2.INTER_AREA))
-    coarse = [cv2.GaussianBlur(image, (5, 5), COARSE_BLUR) for image in images[1:]]
+    for image in images[1:]:
+        cv2.GaussianBlur(image, (5, 5), COARSE_BLUR, dst=image)  # in place: fresh memory costs more than the blur
     depth = np.ascontiguousarray(rgbd.depth.numpy())
-    return Frame(rgbd.timestamp, rgbd.camera, (images[0], *coarse), depth, rgbd.color)
+    return Frame(rgbd.timestamp, rgbd.camera, tuple(images), depth, rgbd.color)
 
 
 @dataclass(frozen=True)

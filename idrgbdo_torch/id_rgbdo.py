@@ -15,19 +15,20 @@ from .config import Config
 from .frame import Frame, Keyframe, RgbdFrame, prepare
 from .kernels.lie import inverse
 from .kernels.model import Noise
-from .keyframe import freedom_entropies_bits, wants_keyframe
+from .keyframe import freedom_entropies, wants_keyframe
 from .mapping import NOTHING, Cloud, condense, keyframe_cloud, world_cloud
 from .odometry import Status, TrackResult
 from .selection import point_bits, select_points
 from .tracking import RATE, Tracked, kernel_noise, motion_information, predict, turn_rate, with_blur
 from .trajectory import Trajectory
-from .verification import LOST_BELOW, WEAK_BELOW, align, unsure
+from .verification import LOST_BELOW, WEAK_BELOW, align, displacement, unsure
 from .window import Window
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 FEWEST_CANDIDATES = 16  # that make a keyframe
+SAME_VIEW_PX = 4.0  # mean distance in the image between two guesses that the same points serve
 PATIENCE = 3  # lost frames in a row before a new segment starts
 
 
@@ -57,7 +58,8 @@ class IdRgbdo:
         self.keyframe_turn = np.zeros(3)  # and of the keyframe
         self.affine = np.zeros(2)
         self.index = np.zeros(0, dtype=np.int64)  # the keyframe's points, where they are chosen only once
-        self.entropies: list[Tensor] = []  # per degree of freedom, of the frames tracked since the keyframe
+        self.T_chosen: Array | None = None  # the guess of T_frame_kf that they were chosen for
+        self.entropies: list[Array] = []  # per degree of freedom, of the frames tracked since the keyframe
         self.lost_in_a_row = 0
         self.segment = 0
         self.times: list[float] = []
@@ -89,7 +91,7 @@ class IdRgbdo:
         )  # fmt: skip
         if reason := verdict.doubt(LOST_BELOW):
             return self._lost(frame, reason)
-        entropies = freedom_entropies_bits(torch.from_numpy(tracked.information))
+        entropies = freedom_entropies(tracked.information)
         after_loss = "the frame before was lost" if self.lost_in_a_row else ""
         reason = verdict.doubt(WEAK_BELOW) or unsure(entropies) or after_loss
         self.entropies.append(entropies)
@@ -101,11 +103,15 @@ class IdRgbdo:
         return result
 
     def _choose(self, keyframe: Keyframe, T_frame_kf: Array, prior: Array, noise: Noise) -> Index:
-        """The points to track: anew for every frame, or the keyframe's own."""
+        """The points to track: chosen anew when the view has changed, or the keyframe's own."""
         if not self.config.selection.per_frame:
             return self.index
+        if self.T_chosen is not None and displacement(keyframe, self.T_chosen, T_frame_kf) < SAME_VIEW_PX:
+            return self.index
+        self.T_chosen = T_frame_kf
         selection = self.config.selection
-        return select_points(keyframe, T_frame_kf, selection.points, prior, selection, noise, self.rng)
+        self.index = select_points(keyframe, T_frame_kf, selection.points, prior, selection, noise, self.rng)
+        return self.index
 
     def _move(self, T_cam_world: Array, dt: float) -> None:
         self.T_previous, self.T_cam_world, self.dt_previous = self.T_cam_world, T_cam_world, dt
@@ -134,6 +140,7 @@ class IdRgbdo:
         self.keyframe, self.T_kf_world, self.keyframe_turn = keyframe, self.T_cam_world, self.turn
         self.affine = np.zeros(2)
         self.entropies = []
+        self.T_chosen = None
 
     def _refine(self, keyframe: Keyframe, index: Index) -> Keyframe:
         """Add a keyframe to the window, optimise, shrink; the present pose and its velocity follow."""
@@ -182,7 +189,7 @@ class IdRgbdo:
         return self._result(frame, None, Status.LOST, reason)
 
     def _result(
-        self, frame: Frame, tracked: Tracked | None, status: Status, reason: str, entropies: Tensor | None = None
+        self, frame: Frame, tracked: Tracked | None, status: Status, reason: str, entropies: Array | None = None
     ) -> TrackResult:
         T_world_cam = inverse(self.T_cam_world)
         T_cam_kf = self.T_cam_world @ inverse(self.T_kf_world) if tracked is None else tracked.T_frame_kf

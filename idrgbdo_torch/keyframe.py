@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from math import e, pi
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from .config import KeyframeConfig
+
+Array = NDArray[np.float64]
 
 REFERENCE_FRAMES = 3  # the reference is the median over the first frames after the keyframe
 SURE_BITS = -0.5  # the ratio of Eq. 20 means nothing where the reference entropy is not clearly negative
@@ -44,10 +48,18 @@ def lost_certainty(entropy: Tensor, reference: Tensor, criterion: str) -> Tensor
     return torch.where(reference < SURE_BITS, entropy_decrement(entropy, reference), bits)
 
 
-def wants_keyframe(history: list[Tensor], config: KeyframeConfig) -> bool:
+def wants_keyframe(history: list[Array], config: KeyframeConfig) -> bool:
     """Whether any degree of freedom has lost too much; history: entropies (6,) tracked since the keyframe."""
-    first = [entropies.tolist() for entropies in history[:REFERENCE_FRAMES]]
-    median = [sorted(freedom)[(len(first) - 1) // 2] for freedom in zip(*first, strict=True)]
-    reference = torch.tensor(median, dtype=torch.float64)
-    threshold = config.threshold_bits if config.criterion == "bits" else config.threshold_ratio
-    return bool(lost_certainty(history[-1], reference, config.criterion).max() > threshold)
+    reference = np.sort(np.stack(history[:REFERENCE_FRAMES]), axis=0)[(len(history[:REFERENCE_FRAMES]) - 1) // 2]
+    if config.criterion == "bits":  # lost_certainty in numpy: this runs for every frame
+        return bool((history[-1] - reference).max() > config.threshold_bits)
+    lost = lost_certainty(torch.from_numpy(history[-1]), torch.from_numpy(reference), config.criterion)
+    return bool(lost.max() > config.threshold_ratio)
+
+
+def freedom_entropies(information: Array) -> Array:
+    """freedom_entropies_bits of one (6, 6) matrix, for every frame: (6,)."""
+    precision = information.diagonal()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bits = 0.5 * np.log2(2.0 * pi * e / precision)
+    return np.where(precision > 0.0, bits, np.inf)

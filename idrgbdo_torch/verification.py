@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor
 
 from .candidates import all_patches
 from .frame import LEVELS, Frame, Keyframe
@@ -21,6 +20,7 @@ VERIFIED_LEVEL = 1
 VERIFIED_GRAY = 12.0  # gray levels, largest residual of a point that agrees
 GAIN_LIMIT = 1.0  # of the logarithm: with no contrast left, a black or a white image would explain everything
 QUICK_LEVELS = 3  # of the pyramid, for a frame that is where it was expected
+QUICK_STRIDE = 2  # of the coarse points, every second one
 QUICK_PIXELS = 1  # of a coarse point's patch, likewise
 EXPECTED_PX = 2.5  # mean distance in the image between the predicted and the measured pose of such a frame
 
@@ -56,7 +56,7 @@ UNSURE_BITS = -7.0  # entropy of the least certain degree of freedom, about 2 mm
 FREEDOMS = ("x", "y", "z", "rotation about x", "rotation about y", "rotation about z")
 
 
-def unsure(entropies: Tensor) -> str:
+def unsure(entropies: Array) -> str:
     """Why a pose with these entropies (6,) in bits is doubtful however well it fits, empty when it is not."""
     bits, freedom = max(zip(entropies.tolist(), FREEDOMS, strict=True))
     return f"{freedom} is uncertain: {bits:.1f} bits" if bits > UNSURE_BITS else ""
@@ -88,27 +88,28 @@ def align(
     before was from its guess; the last value is how far this one is. Cameras move smoothly, so a frame after an
     expected one starts within reach of few coarse pixels; what comes out of it must fit, and be where expected.
     """
-    coarse = keyframe.coarse
     if surprise_px < EXPECTED_PX:
+        few = keyframe.coarse[::QUICK_STRIDE]
         tracked = track_frame(
-            frame, keyframe, guess, affine, index, coarse, prior, noise, min(levels, QUICK_LEVELS), QUICK_PIXELS
+            frame, keyframe, guess, affine, index, few, prior, noise, min(levels, QUICK_LEVELS), QUICK_PIXELS
         )
-        verdict, surprise_px = verify(frame, keyframe, tracked, noise), displacement(keyframe, guess, tracked)
+        verdict = verify(frame, keyframe, tracked, noise)
+        surprise_px = displacement(keyframe, guess, tracked.T_frame_kf)
         if surprise_px < EXPECTED_PX and not verdict.doubt(SURE_BELOW):
             return tracked, verdict, surprise_px
-    tracked = track_frame(frame, keyframe, guess, affine, index, coarse, prior, noise, levels)
+    tracked = track_frame(frame, keyframe, guess, affine, index, keyframe.coarse, prior, noise, levels)
     verdict = verify(frame, keyframe, tracked, noise)
     if verdict.doubt(WEAK_BELOW):
         again, second = recover(frame, keyframe, [guess, resting], affine, index, noise)
         if second.score > verdict.score:
             tracked, verdict = again, second
-    return tracked, verdict, displacement(keyframe, guess, tracked)
+    return tracked, verdict, displacement(keyframe, guess, tracked.T_frame_kf)
 
 
-def displacement(keyframe: Keyframe, T_guess: Array, tracked: Tracked) -> float:
-    """Mean distance in px between where the guess and the result put the spread-out points; inf if none is in front."""
+def displacement(keyframe: Keyframe, T_a: Array, T_b: Array) -> float:
+    """Mean distance in px between where two poses T_frame_kf put the spread-out points; inf if none is in front."""
     cam = keyframe.frame.intrinsics[0]
-    return float(agreement.displacement(cam, keyframe.points, keyframe.coarse, T_guess, tracked.T_frame_kf))
+    return float(agreement.displacement(cam, keyframe.points, keyframe.coarse, T_a, T_b))
 
 
 def recover(

@@ -110,10 +110,9 @@ def test_one_candidate_a_cell_the_strongest_of_its_best_tier(frame: Frame) -> No
     cell = 24
     g2 = fused.gradient_squared(frame.images[0])
     thresholds = fused.block_thresholds(g2, BLOCK, THRESHOLD_OFFSET)
-    edges = cv2.Canny(frame.images[0].astype(np.uint8), *CANNY, L2gradient=True) > 0
-    uv, inv_depth, tier = fused.grid_candidates(
-        g2, thresholds, BLOCK, edges, frame.depth, cell, BORDER, PLANE_RADIUS, SIGMA
-    )
+    edges = cv2.Canny(frame.images[0].astype(np.uint8), *CANNY, L2gradient=True)
+    scores = fused.candidate_scores(g2, thresholds, BLOCK, edges, frame.depth)
+    uv, inv_depth, tier = fused.grid_candidates(scores, frame.depth, cell, BORDER, PLANE_RADIUS, SIGMA)
     limit = np.kron(thresholds, np.ones((BLOCK, BLOCK)))[: g2.shape[0], : g2.shape[1]]
     tiers = np.where(g2 > limit, np.where(edges, 2, 1), np.where(g2 > 0.25 * limit, 0, -1))
     tiers[frame.depth <= 0] = -1

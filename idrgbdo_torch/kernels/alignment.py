@@ -8,7 +8,7 @@ import numpy as np
 
 from .compiled import kernel
 from .lie import log_se3, retract
-from .linear import solve_spd
+from .linear import dot, multiply, solve_spd
 from .linearisation import linearise
 
 
@@ -56,7 +56,9 @@ def align(
         if level == 0 or level == steps.shape[0] - 1:  # other points, or none so far to tell the scale
             rms = np.empty(index.shape[0])
             linearise(image, depth, cam, level, points, index, pixels, T, affine, 1.0, 1e9, noise, H, b, rms)
-        for _ in range(1 if coarse else 2):  # the second round works with the outlier limit from the first
+        rounds = 1 if coarse else 2  # the second one works with the outlier limit from the first
+        for turn in range(rounds):
+            settled = 1.0 if coarse else (0.5 if turn == 0 else 0.1)  # standard deviations
             scale = robust_scale(rms)
             limit = noise.outlier
             energy, seen, kept = linearise(
@@ -73,7 +75,7 @@ def align(
                 solved, step = solve_spd(A, b)
                 if not solved:
                     break
-                change = sqrt(max(0.0, np.dot(step, b)))
+                change = sqrt(max(0.0, dot(step, b)))
                 T_new = retract(step[:6], T)
                 affine_new = affine + step[6:]
                 energy_new, seen_new, kept_new = linearise(
@@ -100,7 +102,7 @@ def align(
                     damping = max(4.0 * damping, 0.1)
                     if damping > 1e4:
                         break
-                if change < (0.1 if level == 0 else 1.0):
+                if change < settled:
                     break
             total += iterations
         if level == 1:
@@ -121,11 +123,12 @@ def align(
 @kernel
 def prior_terms(H, b, T, affine, affine_centre, prior, T_prior_inv, affine_prior):
     """Add the motion prior (Eq. 19) and the brightness prior to H and b; returns their energy."""
-    from_prior = log_se3(T @ T_prior_inv)
-    pull = prior @ from_prior
-    energy = np.dot(from_prior, pull)
+    from_prior = log_se3(multiply(T, T_prior_inv))
+    energy = 0.0
     for i in range(6):
-        b[i] -= pull[i]
+        pull = dot(prior[i], from_prior)
+        energy += pull * from_prior[i]
+        b[i] -= pull
         for j in range(6):
             H[i, j] += prior[i, j]
     off0 = affine[0] - affine_centre[0]

@@ -9,6 +9,7 @@ import numpy as np
 
 from .compiled import kernel
 from .lie import adjoint, inverse
+from .linear import dot, multiply
 from .model import PATTERN_U, PATTERN_V, distortion_weight, photometric_variance
 from .sampling import sample, sample_inverse_depth
 
@@ -65,8 +66,8 @@ def linearise_window(
         for target in range(K):
             if target == host:
                 continue
-            T = T_cam_world[target] @ inverse(T_cam_world[host])
-            T0 = T_linear[target] @ inverse(T_linear[host])
+            T = multiply(T_cam_world[target], inverse(T_cam_world[host]))
+            T0 = multiply(T_linear[target], inverse(T_linear[host]))
             image = images[slots[target]]
             depth = depths[slots[target]]
             gain = exp(affine[target, 0] - affine[host, 0])
@@ -244,15 +245,18 @@ def linearise_window(
             for i in range(8):
                 for j in range(i):
                     pair[i, j] = pair[j, i]
-            across = pair @ chain
-            ho = slice(8 * host, 8 * host + 8)
-            ta = slice(8 * target, 8 * target + 8)
-            H[ta, ta] += pair
-            H[ta, ho] += across
-            H[ho, ta] += across.T
-            H[ho, ho] += chain.T @ across
-            b[ta] += pair_b
-            b[ho] += chain.T @ pair_b
+            across = multiply(pair, chain)
+            on_host = multiply(chain.T, across)
+            ho = 8 * host
+            ta = 8 * target
+            for i in range(8):
+                for j in range(8):
+                    H[ta + i, ta + j] += pair[i, j]
+                    H[ta + i, ho + j] += across[i, j]
+                    H[ho + i, ta + j] += across[j, i]
+                    H[ho + i, ho + j] += on_host[i, j]
+                b[ta + i] += pair_b[i]
+                b[ho + i] += dot(chain[:, i], pair_b)
     return energy
 
 

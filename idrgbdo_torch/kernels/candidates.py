@@ -10,6 +10,8 @@ from .compiled import kernel
 from .model import PATTERN_U, PATTERN_V
 from .sampling import sample
 
+TIER = 65536.0  # above every squared gradient of an 8-bit image
+
 
 @kernel
 def gradient_squared(image):
@@ -114,60 +116,83 @@ def fit_plane(depth, u, v, radius, sigma):
 
 
 @kernel
-def grid_candidates(gradient2, thresholds, block, edges, depth, cell, border, radius, sigma):
-    """One candidate a grid cell, the best of three tiers: Canny edge, above threshold, weaker area (section 4.1).
+def candidate_scores(gradient2, thresholds, block, edges, depth):
+    """(H, W) float32: squared gradient plus TIER for each tier gained (section 4.1), -1 where there is no candidate.
 
-    Within a tier the strongest gradient wins, and a pixel needs a valid local depth plane. Returns
-    uv (M, 2), inverse depth (M,), tier (M,).
+    A pixel needs depth and half the threshold's gradient; above the threshold it gains a tier, on a Canny edge another.
     """
     height, width = gradient2.shape
+    out = np.empty((height, width), dtype=np.float32)
+    quarter = np.float32(0.25)
+    nothing = np.float32(-1.0)
+    zero = np.float32(0.0)
+    one_tier = np.float32(TIER)
+    for v in range(height):
+        for c in range(thresholds.shape[1]):
+            limit = np.float32(thresholds[v // block, c])
+            low = quarter * limit
+            for u in range(c * block, min(width, (c + 1) * block)):  # no branches, so that this becomes SIMD
+                g2 = gradient2[v, u]
+                above = one_tier if g2 > limit else zero
+                edge = above if edges[v, u] > 0 else zero
+                score = g2 + above + edge
+                score = score if g2 > low else nothing
+                out[v, u] = score if depth[v, u] > zero else nothing
+    return out
+
+
+@kernel
+def grid_candidates(scores, depth, cell, border, radius, sigma):
+    """One candidate a grid cell: the highest score among the first six that have a valid local depth plane.
+
+    A score that was tried in vain is overwritten. Returns uv (M, 2), inverse depth (M,) and tier (M,): 2 Canny edge,
+    1 above the threshold, 0 weaker.
+    """
+    height, width = scores.shape
     capacity = ((height + cell - 1) // cell) * ((width + cell - 1) // cell)
     uv = np.empty((capacity, 2))
     inv_depth = np.empty(capacity)
     tiers = np.empty(capacity, dtype=np.int64)
     count = 0
-    tried = np.empty(cell * cell)
-    columns = np.arange(width) // block  # of the threshold that holds at a pixel
     for v0 in range(border, height - border, cell):
         for u0 in range(border, width - border, cell):
-            wide = min(u0 + cell, width - border) - u0
-            high = min(v0 + cell, height - border) - v0
-            best = -1
-            best_value = -1.0
-            for j in range(high):
-                v = v0 + j
-                row = v // block
-                for i in range(wide):
-                    u = u0 + i
-                    g2 = gradient2[v, u]
-                    limit = thresholds[row, columns[u]]
-                    value = -1.0
-                    if g2 > 0.25 * limit and depth[v, u] > 0.0:
-                        value = np.float64(g2)
-                        if g2 > limit:
-                            value += 2e7 if edges[v, u] else 1e7
-                    n = j * wide + i
-                    tried[n] = value
-                    if value > best_value:
-                        best_value = value
-                        best = n
+            v1 = min(v0 + cell, height - border)
+            u1 = min(u0 + cell, width - border)
             for _ in range(6):
-                if best_value < 0.0:
+                best, best_u, best_v = highest(scores, u0, v0, u1, v1)
+                if best < 0.0:
                     break
-                u = u0 + best % wide
-                v = v0 + best // wide
-                ok, d, _gu, _gv = fit_plane(depth, u, v, radius, sigma)
+                ok, d, _gu, _gv = fit_plane(depth, best_u, best_v, radius, sigma)
                 if ok:
-                    uv[count, 0] = u
-                    uv[count, 1] = v
+                    uv[count, 0] = best_u
+                    uv[count, 1] = best_v
                     inv_depth[count] = d
-                    tiers[count] = int(best_value // 1e7)
+                    tiers[count] = int(best / TIER)
                     count += 1
                     break
-                tried[best] = -1.0
-                best = int(np.argmax(tried[: wide * high]))
-                best_value = tried[best]
+                scores[best_v, best_u] = -1.0
     return uv[:count], inv_depth[:count], tiers[:count]
+
+
+@kernel
+def highest(scores, u0, v0, u1, v1):
+    """(score, u, v) of the highest in a rectangle, the first of equals; -1 where there is none."""
+    best = np.float32(-1.0)
+    best_u = best_v = -1
+    for v in range(v0, v1):
+        most = np.float32(-1.0)
+        for u in range(u0, u1):  # the largest of a row without branches, so that this becomes SIMD
+            score = scores[v, u]
+            most = score if score > most else most
+        if most > best:
+            best = most
+            best_v = v
+    if best_v >= 0:
+        for u in range(u0, u1):
+            if scores[best_v, u] == best:
+                best_u = u
+                break
+    return best, best_u, best_v
 
 
 @kernel

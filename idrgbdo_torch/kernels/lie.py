@@ -7,6 +7,7 @@ from math import acos, cos, sin, sqrt
 import numpy as np
 
 from .compiled import kernel
+from .linear import multiply
 
 
 @kernel
@@ -24,14 +25,14 @@ def retract(xi, T):
         b = (1.0 - cos(theta)) / theta2
         c = (1.0 - a) / theta2
     W = np.array([[0.0, -wz, wy], [wz, 0.0, -wx], [-wy, wx, 0.0]])
-    W2 = W @ W
+    W2 = multiply(W, W)
     eye = np.eye(3)
     R = eye + a * W + b * W2
     V = eye + b * W + c * W2
     out = np.eye(4)
     # one Newton step back to a rotation: rounding would otherwise grow from frame to frame
-    M = R @ np.ascontiguousarray(T[:3, :3])
-    out[:3, :3] = 1.5 * M - 0.5 * (M @ (M.T @ M))
+    M = multiply(R, T[:3, :3])
+    out[:3, :3] = 1.5 * M - 0.5 * multiply(M, multiply(M.T, M))
     for i in range(3):
         out[i, 3] = (
             R[i, 0] * T[0, 3] + R[i, 1] * T[1, 3] + R[i, 2] * T[2, 3] + V[i, 0] * vx + V[i, 1] * vy + V[i, 2] * vz
@@ -67,7 +68,7 @@ def log_se3(T):
         theta2 = theta * theta
         k = 1.0 / theta2 - (1.0 + cos_theta) / (2.0 * theta * s)
     W = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-    V_inv = np.eye(3) - 0.5 * W + k * (W @ W)
+    V_inv = np.eye(3) - 0.5 * W + k * multiply(W, W)
     out = np.empty(6)
     for i in range(3):
         out[i] = V_inv[i, 0] * T[0, 3] + V_inv[i, 1] * T[1, 3] + V_inv[i, 2] * T[2, 3]
@@ -84,5 +85,5 @@ def adjoint(T):
     out = np.zeros((6, 6))
     out[:3, :3] = R
     out[3:, 3:] = R
-    out[:3, 3:] = S @ np.ascontiguousarray(R)
+    out[:3, 3:] = multiply(S, R)
     return out

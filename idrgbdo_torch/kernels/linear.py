@@ -10,6 +10,27 @@ from .compiled import kernel
 
 
 @kernel
+def multiply(A, B):
+    """A B of two small matrices, without BLAS: setting up a call costs more than the product."""
+    out = np.zeros((A.shape[0], B.shape[1]))
+    for i in range(A.shape[0]):
+        for k in range(A.shape[1]):
+            a = A[i, k]
+            for j in range(B.shape[1]):
+                out[i, j] += a * B[k, j]
+    return out
+
+
+@kernel
+def dot(a, b):
+    """a^T b of two short vectors."""
+    total = 0.0
+    for i in range(a.shape[0]):
+        total += a[i] * b[i]
+    return total
+
+
+@kernel
 def solve_spd(A, b):
     """(ok, x) of A x = b by Cholesky; not ok where A is not positive definite or not finite."""
     n = A.shape[0]
