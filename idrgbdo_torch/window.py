@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .config import Config
 from .frame import Keyframe
 from .kernels import alignment, bundle, model
+from .kernels import marginal as fused_marginal
 from .kernels.bundle import WindowPoints
 from .kernels.lie import inverse, log_se3, retract
 from .kernels.linear import solve_spd
@@ -202,10 +203,19 @@ class Window:
             return 0
         H, b = self.system.reduced()
         H += self.prior.H.numpy()
-        brightness = np.arange(STEP * K) % STEP >= 6
-        poses = marginalize(torch.from_numpy(H), torch.from_numpy(b), torch.from_numpy(brightness)).H
-        psi = redundancy_bits(poses)[: K - PROTECTED]
-        return int(psi.argmax())
+        poses = self._without(H, b, np.arange(STEP * K) % STEP >= 6).H
+        ok, psi = fused_marginal.redundancy(poses.numpy())
+        if not ok:
+            psi = redundancy_bits(poses).numpy()
+        return int(psi[: K - PROTECTED].argmax())
+
+    @staticmethod
+    def _without(H: Array, b: Array, marginal: NDArray[np.bool_]) -> LinearPrior:
+        """marginalize(), by the fused twin where nothing is singular."""
+        ok, H_star, b_star = fused_marginal.marginalize(H, b, np.flatnonzero(~marginal), np.flatnonzero(marginal))
+        if ok:
+            return LinearPrior(torch.from_numpy(H_star), torch.from_numpy(b_star))
+        return marginalize(torch.from_numpy(H), torch.from_numpy(b), torch.from_numpy(marginal))
 
     def marginalise(self, k: int) -> None:
         """Replace a keyframe's points, then the keyframe itself, by a linear prior on the others (Eqs. 21 to 25)."""
@@ -219,10 +229,9 @@ class Window:
         self.T_linear[fresh] = self.T_kf_world[fresh]
         # brightness is linear enough; poses keep their first estimate. b is taken back to the linearisation point
         delta = self.deviation().numpy()
-        H_all = torch.from_numpy(H) + self.prior.H
-        b_all = torch.from_numpy(b + H @ delta) + self.prior.b
-        marginal = torch.from_numpy(np.repeat(hosts, STEP))
-        self.prior = marginalize(H_all, b_all, marginal)
+        H_all = H + self.prior.H.numpy()
+        b_all = b + H @ delta + self.prior.b.numpy()
+        self.prior = self._without(H_all, b_all, np.repeat(hosts, STEP))
         keep = ~hosts
         self.in_prior = (self.in_prior | touched)[keep]
         self.keyframes.pop(k)
