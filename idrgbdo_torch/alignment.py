@@ -24,7 +24,8 @@ from .se3 import inverse, log, retract
 from .solver import solve
 
 STEPS = (8, 10, 12, 12)  # most iterations per level, finest first
-SETTLED, SETTLED_COARSE = 0.1, 1.0  # standard deviations; a smaller step ends the finest level, or a coarse one
+SETTLED = (0.5, 0.1)  # standard deviations; a smaller step ends a round of the finest level
+SETTLED_COARSE = 1.0  # and the only one of a coarse level
 FLOOR = 1e-9  # added to the diagonal: a direction that nothing measures does not move
 NOTHING = torch.zeros(0)
 AFFINE_SIGMA = (0.1, 10.0)  # of gain and gray levels, about the guess
@@ -134,9 +135,9 @@ def descend(problems: Sequence[Problem], prior: Prior, noise: ResidualNoise) -> 
         if level in (0, last):  # other points, or none so far to tell the scale
             first = linearise_pairs(problem.points, problem.target, found.T, found.affine, noise, pixels=problem.pixels)
             found = replace(found, rms=first.rms)
-        for _ in range(1 if level > 0 else 2):
+        for settled in SETTLED if level == 0 else (SETTLED_COARSE,):
             scale = robust_scale(found.rms)
-            found = _search(problem, found, prior, noise, scale, SETTLED if level == 0 else SETTLED_COARSE)
+            found = _search(problem, found, prior, noise, scale, settled)
         if level == 1:
             learnt = brightness_information(found.H, prior.affine_information)
             prior = replace(prior, affine=found.affine, affine_information=learnt)

@@ -11,6 +11,7 @@ from torch.nn.functional import avg_pool2d, pad
 
 from ..errors import IdRgbdoError
 from ..image import gradient as image_gradient
+from ..kernels.candidates import TIER
 from ..points import TRACKING_PATTERN, sample_patterns
 from ..solver import solve
 from .convert import Array
@@ -47,19 +48,24 @@ def planes_at(depth: Array, uv: Array, radius: int, sigma: float) -> tuple[Array
     return valid.numpy(), inverse_depth.numpy()
 
 
-def grid_candidates(
-    gradient2: Array, thresholds: Array, block: int, edges: Array, depth: Array, cell: int, border: int, radius: int,
-    sigma: float,
-) -> tuple[Array, Array, Array]:  # fmt: skip
-    """One candidate a grid cell: uv (M, 2), inverse depth (M,), tier (M,), row by row."""
-    g2, z = torch.from_numpy(gradient2).double(), torch.from_numpy(depth)
+def candidate_scores(gradient2: Array, thresholds: Array, block: int, edges: Array, depth: Array) -> Array:
+    """(H, W) float32: squared gradient plus TIER for each tier gained, -1 where there is no candidate."""
+    g2, on_edge, z = torch.from_numpy(gradient2), torch.from_numpy(edges) > 0, torch.from_numpy(depth)
     height, width = g2.shape
     at_v, at_u = torch.arange(height) // block, torch.arange(width) // block
-    limit = torch.from_numpy(thresholds)[at_v[:, None], at_u]
-    tier = torch.where(
-        g2 > limit, 1.0 + (torch.from_numpy(edges) != 0).double(), torch.where(g2 > 0.25 * limit, 0.0, -1.0)
-    )
-    score = torch.where((z > 0) & (tier >= 0), tier * 1e7 + g2, -1.0)[border : height - border, border : width - border]
+    limit = torch.from_numpy(thresholds).float()[at_v[:, None], at_u]
+    above = g2 > limit
+    score = g2 + TIER * above + TIER * (above & on_edge)
+    return np.asarray(torch.where((g2 > 0.25 * limit) & (z > 0), score, -1.0))
+
+
+def grid_candidates(
+    scores: Array, depth: Array, cell: int, border: int, radius: int, sigma: float
+) -> tuple[Array, Array, Array]:
+    """One candidate a grid cell: uv (M, 2), inverse depth (M,), tier (M,), row by row. The scores stay as they are."""
+    z = torch.from_numpy(depth)
+    height, width = z.shape
+    score = torch.from_numpy(scores)[border : height - border, border : width - border]
 
     rows, cols = -(-score.shape[0] // cell), -(-score.shape[1] // cell)
     padded = pad(score, (0, cols * cell - score.shape[1], 0, rows * cell - score.shape[0]), value=-1.0)
@@ -81,7 +87,7 @@ def grid_candidates(
         return x.gather(-1, first)[found, 0]
 
     chosen = torch.stack([take(u), take(v)], dim=-1).double()
-    tiers = torch.div(take(best), 1e7, rounding_mode="floor").long()
+    tiers = (take(best) / TIER).long()
     return chosen.numpy(), take(inverse_depth.reshape(tried.shape)).numpy(), tiers.numpy()
 
 
