@@ -8,34 +8,34 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Literal
 
-from .kernels import agreement, alignment, bundle, candidates, choice
+from .config import BackendName
+from .kernels import agreement, alignment, bundle, candidates, choice, marginal
 from .torch_backend import agreement as torch_agreement
 from .torch_backend import alignment as torch_alignment
 from .torch_backend import bundle as torch_bundle
 from .torch_backend import candidates as torch_candidates
 from .torch_backend import choice as torch_choice
-
-Name = Literal["fused", "torch"]
+from .torch_backend import marginal as torch_marginal
 
 
 @dataclass(frozen=True)
 class Backend:
     """The files of one of the two packages. Algorithm 1 in torch is selection.select_informative."""
 
-    name: str
+    name: BackendName
     agreement: ModuleType  # verify, displacement
     alignment: ModuleType  # align, robust_scale
     bundle: ModuleType  # linearise_window, eliminate_depths
-    candidates: ModuleType  # gradient_squared, block_thresholds, grid_candidates, planes_at, sample_patches, ...
+    candidates: ModuleType  # block_thresholds, candidate_scores, grid_candidates, planes_at, sample_patches, ...
     choice: ModuleType  # whitened_rows; select in the fused one
+    marginal: ModuleType  # marginalize, redundancy
 
 
-FUSED = Backend("fused", agreement, alignment, bundle, candidates, choice)
-TORCH = Backend("torch", torch_agreement, torch_alignment, torch_bundle, torch_candidates, torch_choice)
+FUSED = Backend("fused", agreement, alignment, bundle, candidates, choice, marginal)
+TORCH = Backend("torch", torch_agreement, torch_alignment, torch_bundle, torch_candidates, torch_choice, torch_marginal)
 
 
-def backend(name: Name) -> Backend:
+def backend_named(name: BackendName) -> Backend:
     """The backend of that name."""
     return {"fused": FUSED, "torch": TORCH}[name]

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from .backends import FUSED, Backend, backend_named
 from .config import Config
 from .frame import Frame, Keyframe
-from .kernels import candidates as fused
 from .kernels.model import PATTERN_U, Points
 from .selection import grid_cells
 
@@ -28,14 +28,15 @@ EVERYWHERE = 4  # px, side of a grid cell in mode "inf": as good as no grid, wit
 
 def make_keyframe(frame: Frame, config: Config, rng: Generator) -> Keyframe:
     """Extract the candidates of a frame and everything that tracking needs of them."""
+    computing = backend_named(config.backend)
     uv, inv_depth, tier = extract_candidates(frame, config, rng)
     camera = frame.camera
-    coarse = spread_out(uv, config.tracking.points_coarse, camera.width, camera.height)
+    coarse = spread_out(uv, config.tracking.points_coarse, camera.width, camera.height, computing)
     levels, pixels = len(frame.images), len(PATTERN_U)
     patch = np.zeros((levels, len(uv), pixels), np.float32)
     gradient = np.zeros((levels, len(uv), pixels, 2), np.float32)
-    fused.sample_patches(frame.images, uv, np.arange(len(uv)), 0, 1, patch, gradient)
-    fused.sample_patches(frame.images, uv, coarse, 1, levels, patch, gradient)
+    computing.candidates.sample_patches(frame.images, uv, np.arange(len(uv)), 0, 1, patch, gradient)
+    computing.candidates.sample_patches(frame.images, uv, coarse, 1, levels, patch, gradient)
     radius = np.hypot(uv[:, 0] - camera.cx, uv[:, 1] - camera.cy)
     radius /= max(radius.max(initial=0.0), 1.0)
     variance = np.full(len(uv), inverse_depth_sigma(config) ** 2)
@@ -43,12 +44,12 @@ def make_keyframe(frame: Frame, config: Config, rng: Generator) -> Keyframe:
     return Keyframe(frame, points, inv_depth, variance, radius, tier, coarse)
 
 
-def all_patches(keyframe: Keyframe) -> Keyframe:
+def all_patches(keyframe: Keyframe, backend: Backend = FUSED) -> Keyframe:
     """The keyframe with the patches of every point on every level, as it takes to track all of them everywhere."""
     points = keyframe.points
     patch, gradient = points.patch.copy(), points.gradient.copy()
     everyone = np.arange(len(points.uv))
-    fused.sample_patches(keyframe.frame.images, points.uv, everyone, 1, len(patch), patch, gradient)
+    backend.candidates.sample_patches(keyframe.frame.images, points.uv, everyone, 1, len(patch), patch, gradient)
     return replace(keyframe, points=points._replace(patch=patch, gradient=gradient))
 
 
@@ -59,7 +60,7 @@ def inverse_depth_sigma(config: Config) -> float:
 
 def extract_candidates(frame: Frame, config: Config, rng: Generator) -> tuple[Array, Array, Index]:
     """uv (N, 2), inverse depth (N,), tier (N,) of the pixels worth choosing from; rand takes any pixel with depth."""
-    mode = config.selection.mode
+    computing, mode = backend_named(config.backend).candidates, config.selection.mode
     sigma = inverse_depth_sigma(config)
     height, width = frame.depth.shape
     if mode == "rand":
@@ -67,23 +68,23 @@ def extract_candidates(frame: Frame, config: Config, rng: Generator) -> tuple[Ar
         u = rng.integers(BORDER, width - BORDER, tries)
         v = rng.integers(BORDER, height - BORDER, tries)
         uv: Array = rng.permutation(np.unique(np.column_stack([u, v]), axis=0)).astype(np.float64)
-        valid, inv_depth = fused.planes_at(frame.depth, uv, PLANE_RADIUS, sigma)
+        valid, inv_depth = computing.planes_at(frame.depth, uv, PLANE_RADIUS, sigma)
         keep = np.flatnonzero(valid)[: config.selection.candidates]
         return uv[keep], inv_depth[keep], np.zeros(len(keep), dtype=np.int64)
-    gradient2 = fused.gradient_squared(frame.images[0])
-    thresholds = fused.block_thresholds(gradient2, BLOCK, THRESHOLD_OFFSET)
+    gradient2 = computing.gradient_squared(frame.images[0])
+    thresholds = computing.block_thresholds(gradient2, BLOCK, THRESHOLD_OFFSET)
     edges = cv2.Canny(frame.images[0].astype(np.uint8), *CANNY, L2gradient=True)
     grid = max(EVERYWHERE, round(float(np.sqrt(width * height / config.selection.candidates))))
     cell = EVERYWHERE if mode == "inf" else grid
-    scores = fused.candidate_scores(gradient2, thresholds, BLOCK, edges, frame.depth)
-    uv, inv_depth, tier = fused.grid_candidates(scores, frame.depth, cell, BORDER, PLANE_RADIUS, sigma)
+    scores = computing.candidate_scores(gradient2, thresholds, BLOCK, edges, frame.depth)
+    uv, inv_depth, tier = computing.grid_candidates(scores, frame.depth, cell, BORDER, PLANE_RADIUS, sigma)
     return uv, inv_depth, tier
 
 
-def spread_out(uv: Array, count: int, width: int, height: int) -> Index:
+def spread_out(uv: Array, count: int, width: int, height: int, backend: Backend = FUSED) -> Index:
     """About `count` indices spread evenly over the image, always the same ones."""
     if len(uv) <= count:
         return np.arange(len(uv))
     order = np.random.default_rng(0).permutation(len(uv))
-    chosen: Index = fused.first_of_cells(grid_cells(uv, count, width, height), order, count)
+    chosen: Index = backend.candidates.first_of_cells(grid_cells(uv, count, width, height), order, count)
     return chosen

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from .configfile import Bounds, Count, Fraction, Index, NonNegative, Positive
 
 Mode = Literal["rand", "grid", "inf", "inf+grid"]
+BackendName = Literal["fused", "torch"]
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,7 @@ class Config:
     """Everything that shapes a run of the odometry."""
 
     seed: Index = 0
+    backend: BackendName = "fused"  # compiled loops, or their definitions in plain torch: the same poses, far slower
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from . import configfile
+from .backends import backend_named
 from .candidates import make_keyframe
 from .config import Config
 from .frame import Frame, Keyframe, RgbdFrame, prepare
@@ -41,6 +42,7 @@ class IdRgbdo:
         self.config = config or Config()
         configfile.check(self.config)
         self.noise = kernel_noise(self.config.noise)
+        self.backend = backend_named(self.config.backend)
         self.reset()
 
     def reset(self, T_world_cam: Tensor | None = None) -> None:
@@ -87,7 +89,7 @@ class IdRgbdo:
         index = self._choose(self.keyframe, guess, prior, noise)
         tracked, verdict, self.surprise_px = align(
             frame, self.keyframe, guess, resting, self.affine, index, prior, noise, self.config.tracking.levels,
-            self.surprise_px,
+            self.surprise_px, self.backend,
         )  # fmt: skip
         if reason := verdict.doubt(LOST_BELOW):
             return self._lost(frame, reason)
@@ -106,12 +108,15 @@ class IdRgbdo:
         """The points to track: chosen anew when the view has changed, or the keyframe's own."""
         if not self.config.selection.per_frame:
             return self.index
-        if self.T_chosen is not None and displacement(keyframe, self.T_chosen, T_frame_kf) < SAME_VIEW_PX:
+        chosen = self.T_chosen
+        if chosen is not None and displacement(keyframe, chosen, T_frame_kf, self.backend) < SAME_VIEW_PX:
             return self.index
         self.T_chosen = T_frame_kf
-        selection = self.config.selection
-        self.index = select_points(keyframe, T_frame_kf, selection.points, prior, selection, noise, self.rng)
+        self.index = self._select(keyframe, T_frame_kf, self.config.selection.points, prior, noise)
         return self.index
+
+    def _select(self, keyframe: Keyframe, T_frame_kf: Array, m: int, prior: Array, noise: Noise) -> Index:
+        return select_points(keyframe, T_frame_kf, m, prior, self.config.selection, noise, self.rng, self.backend)
 
     def _move(self, T_cam_world: Array, dt: float) -> None:
         self.T_previous, self.T_cam_world, self.dt_previous = self.T_cam_world, T_cam_world, dt
@@ -129,12 +134,10 @@ class IdRgbdo:
         self.keyframe_times.append(keyframe.frame.timestamp)
         self.clouds.append(NOTHING if self.config.window.enabled else keyframe_cloud(keyframe))
         prior = motion_information(self.config, 1.0 / 30.0)
-        selection = self.config.selection
-        if not selection.per_frame:
-            self.index = select_points(keyframe, np.eye(4), selection.points, prior, selection, self.noise, self.rng)
+        if not self.config.selection.per_frame:
+            self.index = self._select(keyframe, np.eye(4), self.config.selection.points, prior, self.noise)
         if self.config.window.enabled:
-            m = self.config.window_points
-            index = select_points(keyframe, np.eye(4), m, prior, selection, self.noise, self.rng)
+            index = self._select(keyframe, np.eye(4), self.config.window_points, prior, self.noise)
             keyframe = self._refine(keyframe, index)
         self.clouds = condense(self.clouds, self.keyframe_poses, self.in_window)
         self.keyframe, self.T_kf_world, self.keyframe_turn = keyframe, self.T_cam_world, self.turn
@@ -235,13 +238,14 @@ class IdRgbdo:
         if self.last is None:
             return torch.zeros(0, 2, dtype=torch.float64), torch.zeros(0, dtype=torch.float64)
         keyframe, tracked = self.last
-        return point_bits(keyframe, tracked.T_frame_kf, tracked.index, self.noise)
+        return point_bits(keyframe, tracked.T_frame_kf, tracked.index, self.noise, self.backend)
 
     def last_candidates(self) -> Tensor:
         """(M, 2) px of the candidates that the last frame sees: those it could have been tracked with, else its own."""
         if self.last is not None:
             keyframe, tracked = self.last
-            return point_bits(keyframe, tracked.T_frame_kf, np.arange(len(keyframe.points.uv)), self.noise)[0]
+            everyone = np.arange(len(keyframe.points.uv))
+            return point_bits(keyframe, tracked.T_frame_kf, everyone, self.noise, self.backend)[0]
         if self.keyframe is not None and self.keyframe.frame.timestamp == self.times[-1]:
             return torch.from_numpy(self.keyframe.points.uv)
         return torch.zeros(0, 2, dtype=torch.float64)

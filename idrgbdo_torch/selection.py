@@ -14,10 +14,10 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from torch import Tensor
 
+from .backends import FUSED, TORCH, Backend
 from .config import SelectionConfig
 from .errors import IdRgbdoError
 from .frame import Keyframe
-from .kernels import choice
 from .kernels.model import Noise
 
 Array = NDArray[np.float64]
@@ -103,11 +103,12 @@ def select_points(
     config: SelectionConfig,
     noise: Noise,
     rng: Generator,
+    backend: Backend = FUSED,
 ) -> Index:
     """At most m candidates of a keyframe for a frame at the pose T_frame_kf, by the configured mode."""
     camera = keyframe.frame.camera
     everyone = np.arange(len(keyframe.points.uv))
-    A, seen, where = choice.whitened_rows(
+    A, seen, where = backend.choice.whitened_rows(
         keyframe.frame.intrinsics[0], camera.width, camera.height, config.margin - ROUNDING, keyframe.points, everyone,
         T_frame_kf, noise,
     )  # fmt: skip
@@ -116,16 +117,18 @@ def select_points(
         return np.sort(np.argsort(key)[: min(m, int(seen.sum()))])
     if config.mode == "grid":
         return strongest_of_cells(where, seen, keyframe, m)
-    if config.objective == "paper":
+    if config.objective == "paper" or backend is TORCH:
         visible = np.flatnonzero(seen)
         chosen = select_informative(
             torch.from_numpy(A[visible]), torch.from_numpy(keyframe.radius[visible]), m, torch.from_numpy(information),
-            objective="paper", c_z=config.c_z, where=torch.from_numpy(where[visible]), distance=config.distance,
+            objective=config.objective, spread=config.spread, c_z=config.c_z, where=torch.from_numpy(where[visible]),
+            distance=config.distance,
         )  # fmt: skip
         return np.asarray(visible[chosen.numpy()])
-    return np.asarray(
-        choice.select(A, seen, where, keyframe.radius, m, information, config.spread, config.c_z, config.distance)
+    fused: Index = backend.choice.select(
+        A, seen, where, keyframe.radius, m, information, config.spread, config.c_z, config.distance
     )
+    return fused
 
 
 def strongest_of_cells(where: Array, seen: NDArray[np.bool_], keyframe: Keyframe, m: int) -> Index:
@@ -147,13 +150,15 @@ def grid_cells(uv: Array, count: int, width: int, height: int) -> Index:
     return cells
 
 
-def point_bits(keyframe: Keyframe, T_frame_kf: Array, index: Index, noise: Noise) -> tuple[Tensor, Tensor]:
+def point_bits(
+    keyframe: Keyframe, T_frame_kf: Array, index: Index, noise: Noise, backend: Backend = FUSED
+) -> tuple[Tensor, Tensor]:
     """Where a frame sees some candidates, (M, 2) px, and what each adds to all the others, (M,) bits; unseen left out.
 
     Unlike the gain at its choice, this does not depend on the order: what would be lost without that one point.
     """
     camera = keyframe.frame.camera
-    A, seen, where = choice.whitened_rows(
+    A, seen, where = backend.choice.whitened_rows(
         keyframe.frame.intrinsics[0], camera.width, camera.height, 0.0, keyframe.points, index, T_frame_kf, noise
     )
     rows = torch.from_numpy(A[seen])  # (M, 3, 6)

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from .backends import FUSED, Backend
 from .config import Config, NoiseConfig
 from .frame import Frame, Keyframe
-from .kernels import alignment, choice
+from .kernels.choice import PIXELS
 from .kernels.lie import inverse, log_se3, retract
 from .kernels.model import Noise
 
@@ -42,7 +43,7 @@ def motion_information(config: Config, dt: float) -> Array:
 
 def kernel_noise(config: NoiseConfig) -> Noise:
     """NoiseConfig as the plain numbers that the kernels read."""
-    shared = float(choice.PIXELS)
+    shared = float(PIXELS)
     return Noise(
         var_intensity=config.sigma_intensity**2,
         var_pixel=shared * config.sigma_pixel**2,
@@ -93,13 +94,13 @@ def predict(T_a: Array, T_b: Array, ratio: float) -> Array:
 
 def track_frame(
     frame: Frame, keyframe: Keyframe, T_guess: Array, affine: Array, index: Index, coarse: Index, prior: Array,
-    noise: Noise, levels: int, pixels: int = choice.PIXELS,
+    noise: Noise, levels: int, pixels: int = PIXELS, backend: Backend = FUSED,
 ) -> Tracked:  # fmt: skip
     """Align a frame to a keyframe from a guess of T_frame_kf, with the motion prior's information (6, 6) about it.
 
     index: the points of the finest level; coarse: those of the others, with so many pixels of their patches.
     """
-    T, affine, H, rms, _scale, iterations, _seen, kept, _change = alignment.align(
+    T, affine, H, rms, _scale, iterations, _seen, kept, _change = backend.alignment.align(
         frame.images, frame.depth, keyframe.frame.intrinsics, keyframe.points, coarse, pixels, index,
         T_guess, affine, prior, inverse(T_guess), AFFINE_PRIOR, noise, STEPS[:levels],
     )  # fmt: skip

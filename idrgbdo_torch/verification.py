@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .backends import FUSED, Backend
 from .candidates import all_patches
 from .frame import LEVELS, Frame, Keyframe
-from .kernels import agreement
+from .kernels.choice import PIXELS
 from .kernels.model import Noise
 from .tracking import Tracked, track_frame
 
@@ -62,10 +63,10 @@ def unsure(entropies: Array) -> str:
     return f"{freedom} is uncertain: {bits:.1f} bits" if bits > UNSURE_BITS else ""
 
 
-def verify(frame: Frame, keyframe: Keyframe, tracked: Tracked, noise: Noise) -> Verdict:
+def verify(frame: Frame, keyframe: Keyframe, tracked: Tracked, noise: Noise, backend: Backend = FUSED) -> Verdict:
     """Hold a pose against all the spread-out points of the keyframe."""
     coarse = keyframe.coarse
-    seen, bright, with_depth, near = agreement.verify(
+    seen, bright, with_depth, near = backend.agreement.verify(
         frame.images[VERIFIED_LEVEL], frame.depth, keyframe.frame.intrinsics[VERIFIED_LEVEL], VERIFIED_LEVEL,
         keyframe.points, keyframe.points.patch[VERIFIED_LEVEL], coarse, tracked.T_frame_kf, tracked.affine, noise,
         VERIFIED_GRAY,
@@ -80,7 +81,7 @@ def verify(frame: Frame, keyframe: Keyframe, tracked: Tracked, noise: Noise) -> 
 
 def align(
     frame: Frame, keyframe: Keyframe, guess: Array, resting: Array, affine: Array, index: Index, prior: Array,
-    noise: Noise, levels: int, surprise_px: float,
+    noise: Noise, levels: int, surprise_px: float, backend: Backend = FUSED,
 ) -> tuple[Tracked, Verdict, float]:  # fmt: skip
     """The pose of a frame with as little work as it takes: quickly, thoroughly, or from scratch.
 
@@ -91,41 +92,42 @@ def align(
     if surprise_px < EXPECTED_PX:
         few = keyframe.coarse[::QUICK_STRIDE]
         tracked = track_frame(
-            frame, keyframe, guess, affine, index, few, prior, noise, min(levels, QUICK_LEVELS), QUICK_PIXELS
+            frame, keyframe, guess, affine, index, few, prior, noise, min(levels, QUICK_LEVELS), QUICK_PIXELS, backend
         )
-        verdict = verify(frame, keyframe, tracked, noise)
-        surprise_px = displacement(keyframe, guess, tracked.T_frame_kf)
+        verdict = verify(frame, keyframe, tracked, noise, backend)
+        surprise_px = displacement(keyframe, guess, tracked.T_frame_kf, backend)
         if surprise_px < EXPECTED_PX and not verdict.doubt(SURE_BELOW):
             return tracked, verdict, surprise_px
-    tracked = track_frame(frame, keyframe, guess, affine, index, keyframe.coarse, prior, noise, levels)
-    verdict = verify(frame, keyframe, tracked, noise)
+    tracked = track_frame(frame, keyframe, guess, affine, index, keyframe.coarse, prior, noise, levels, PIXELS, backend)
+    verdict = verify(frame, keyframe, tracked, noise, backend)
     if verdict.doubt(WEAK_BELOW):
-        again, second = recover(frame, keyframe, [guess, resting], affine, index, noise)
+        again, second = recover(frame, keyframe, [guess, resting], affine, index, noise, backend)
         if second.score > verdict.score:
             tracked, verdict = again, second
-    return tracked, verdict, displacement(keyframe, guess, tracked.T_frame_kf)
+    return tracked, verdict, displacement(keyframe, guess, tracked.T_frame_kf, backend)
 
 
-def displacement(keyframe: Keyframe, T_a: Array, T_b: Array) -> float:
+def displacement(keyframe: Keyframe, T_a: Array, T_b: Array, backend: Backend = FUSED) -> float:
     """Mean distance in px between where two poses T_frame_kf put the spread-out points; inf if none is in front."""
     cam = keyframe.frame.intrinsics[0]
-    return float(agreement.displacement(cam, keyframe.points, keyframe.coarse, T_a, T_b))
+    return float(backend.agreement.displacement(cam, keyframe.points, keyframe.coarse, T_a, T_b))
 
 
 def recover(
-    frame: Frame, keyframe: Keyframe, guesses: list[Array], affine: Array, index: Index, noise: Noise
-) -> tuple[Tracked, Verdict]:
+    frame: Frame, keyframe: Keyframe, guesses: list[Array], affine: Array, index: Index, noise: Noise,
+    backend: Backend = FUSED,
+) -> tuple[Tracked, Verdict]:  # fmt: skip
     """Try again from each guess of T_frame_kf with all candidates and the widest pyramid, no prior; the best one.
 
     The finest level keeps the chosen points `index`.
     """
     free = np.diag([1e-2] * 6)
     everyone = np.arange(len(keyframe.points.uv))
-    keyframe = all_patches(keyframe)
+    keyframe = all_patches(keyframe, backend)
     best: tuple[Tracked, Verdict] | None = None
     for guess in guesses:
-        tracked = track_frame(frame, keyframe, guess, affine, index, everyone, free, noise, LEVELS)
-        verdict = verify(frame, keyframe, tracked, noise)
+        tracked = track_frame(frame, keyframe, guess, affine, index, everyone, free, noise, LEVELS, PIXELS, backend)
+        verdict = verify(frame, keyframe, tracked, noise, backend)
         if best is None or verdict.score > best[1].score:
             best = (tracked, verdict)
         if not best[1].doubt(WEAK_BELOW):

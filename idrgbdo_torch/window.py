@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from .backends import FUSED, Backend, backend_named
 from .config import Config
 from .frame import Keyframe
-from .kernels import alignment, bundle, model
-from .kernels import marginal as fused_marginal
+from .kernels import model
 from .kernels.bundle import WindowPoints
 from .kernels.lie import inverse, log_se3, retract
 from .kernels.linear import solve_spd
@@ -40,6 +40,7 @@ class Window:
     def __init__(self, config: Config, noise: Noise) -> None:
         self.config = config
         self.noise = noise
+        self.backend = backend_named(config.backend)
         self.keyframes: list[Keyframe] = []
         self.index: list[Index] = []  # window points of every keyframe, among its candidates
         self.T_kf_world = np.zeros((0, 4, 4))
@@ -121,8 +122,8 @@ class Window:
         K, N = self.inv_depth.shape
         fixed = self.in_prior if self.config.window.first_estimates else np.zeros(K, dtype=np.bool_)
         T_linear = np.where(fixed[:, None, None], self.T_linear, self.T_kf_world)
-        out = Linearised(K, N)
-        energy = bundle.linearise_window(
+        out = Linearised(K, N, self.backend)
+        energy = self.backend.bundle.linearise_window(
             self.images, self.depths, self.slots, self.keyframes[0].frame.intrinsics[0], self.T_kf_world, T_linear,
             self.affine, self.inv_depth, points, hosts, limit, self.noise,
             out.H, out.b, out.Hd, out.cross, out.bd, out.rms,
@@ -166,7 +167,7 @@ class Window:
                 damping = max(4.0 * damping, 1e-2)
             if step @ b < SETTLED**2:
                 break
-        self.scale = max(1.0, alignment.robust_scale(system.rms.ravel()))
+        self.scale = max(1.0, self.backend.alignment.robust_scale(system.rms.ravel()))
         self._refresh_points(system)
         self.system = system
         return iteration
@@ -204,15 +205,15 @@ class Window:
         H, b = self.system.reduced()
         H += self.prior.H.numpy()
         poses = self._without(H, b, np.arange(STEP * K) % STEP >= 6).H
-        ok, psi = fused_marginal.redundancy(poses.numpy())
+        ok, psi = self.backend.marginal.redundancy(poses.numpy())
         if not ok:
             psi = redundancy_bits(poses).numpy()
         return int(psi[: K - PROTECTED].argmax())
 
-    @staticmethod
-    def _without(H: Array, b: Array, marginal: NDArray[np.bool_]) -> LinearPrior:
-        """marginalize(), by the fused twin where nothing is singular."""
-        ok, H_star, b_star = fused_marginal.marginalize(H, b, np.flatnonzero(~marginal), np.flatnonzero(marginal))
+    def _without(self, H: Array, b: Array, marginal: NDArray[np.bool_]) -> LinearPrior:
+        """marginalize(), by the backend's twin where nothing is singular."""
+        keep, gone = np.flatnonzero(~marginal), np.flatnonzero(marginal)
+        ok, H_star, b_star = self.backend.marginal.marginalize(H, b, keep, gone)
         if ok:
             return LinearPrior(torch.from_numpy(H_star), torch.from_numpy(b_star))
         return marginalize(torch.from_numpy(H), torch.from_numpy(b), torch.from_numpy(marginal))
@@ -247,7 +248,8 @@ class Window:
 class Linearised:
     """Normal equations of a window, inverse depths still apart."""
 
-    def __init__(self, K: int, N: int) -> None:
+    def __init__(self, K: int, N: int, backend: Backend = FUSED) -> None:
+        self.backend = backend
         self.H = np.zeros((STEP * K, STEP * K))
         self.b = np.zeros(STEP * K)
         self.Hd = np.zeros((K, N))
@@ -257,7 +259,7 @@ class Linearised:
 
     def reduced(self) -> tuple[Array, Array]:
         """Inverse depths eliminated by the Schur complement (their block is diagonal)."""
-        H, b = bundle.eliminate_depths(self.H, self.b, self.Hd, self.cross, self.bd)
+        H, b = self.backend.bundle.eliminate_depths(self.H, self.b, self.Hd, self.cross, self.bd)
         return H, b
 
     def depth_step(self, step: Array) -> Array:

@@ -19,12 +19,12 @@ FLOORS = (
     {"se3", "camera", "image", "information", "solver", "kernels", "configfile", "open3d_loader"},  # mathematics
     {"frame", "trajectory", "config"},  # things
     {"odometry", "methods"},
-    {"photometric", "points"},  # measurement
+    {"photometric", "points", "marginalization"},  # measurement
     {"batched"},
     {"alignment"},
     {"torch_backend"},
     {"backends"},
-    {"selection", "tracking", "keyframe", "marginalization"},  # decisions
+    {"selection", "tracking", "keyframe"},  # decisions
     {"candidates", "window", "mapping", "mesh", "informative"},
     {"verification"},
     {"id_rgbdo"},  # system

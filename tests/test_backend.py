@@ -19,10 +19,11 @@ from window_cases import Desk, make_desk
 
 from idrgbdo_torch import IdRgbdo, Status, kernels, run, se3, selection, torch_backend, tracking, verification, window
 from idrgbdo_torch import candidates as candidates_file
-from idrgbdo_torch.backends import FUSED, TORCH, backend
+from idrgbdo_torch.backends import FUSED, TORCH, backend_named
 from idrgbdo_torch.candidates import BLOCK, BORDER, PLANE_RADIUS, THRESHOLD_OFFSET
+from idrgbdo_torch.config import Config, Mode
 from idrgbdo_torch.kernels import agreement, alignment, bundle, candidates, choice
-from idrgbdo_torch.selection import select_informative
+from idrgbdo_torch.selection import select_points
 from idrgbdo_torch.torch_backend import alignment as torch_alignment
 from idrgbdo_torch.torch_backend import bundle as torch_bundle
 from idrgbdo_torch.torch_backend import candidates as torch_candidates
@@ -31,7 +32,8 @@ from idrgbdo_torch.tracking import AFFINE_PRIOR, STEPS
 from idrgbdo_torch.window import Linearised
 
 LEVELS = CONFIG.tracking.levels
-FILES = ("agreement", "alignment", "bundle", "candidates", "choice")
+FILES = ("agreement", "alignment", "bundle", "candidates", "choice", "marginal")
+UNITS = np.array([1e5, 1e5, 1e5, 3e4, 3e4, 3e4, 200.0, 0.1])  # 1 / sigma of a keyframe's state
 TWINS = [(getattr(FUSED, name), getattr(TORCH, name)) for name in FILES]
 NEAR = se3.exp(torch.tensor([0.003, -0.002, 0.001, 0.001, -0.002, 0.0005], dtype=torch.float64))  # off whole pixels
 
@@ -200,8 +202,26 @@ def test_window(windows: Desk, limit: float, use_depth: bool, first_estimates: b
         close(reduced, expected, 1e-12)
 
 
+def test_marginalisation() -> None:
+    rng = np.random.default_rng(0)
+    unit = np.tile(UNITS, 5)
+    J = rng.standard_normal((120, 40)) * unit
+    H, b = J.T @ J, J.T @ rng.standard_normal(120)
+    everything = np.arange(40)
+    for gone in (np.arange(8, 16), everything[everything % 8 >= 6]):
+        keep = np.setdiff1d(everything, gone)
+        (ok, H_fused, b_fused), (ok_mine, H_mine, b_mine) = (
+            file.marginalize(H, b, keep, gone) for file in (FUSED.marginal, TORCH.marginal)
+        )
+        assert ok and ok_mine
+        close(H_mine / np.outer(unit[keep], unit[keep]), H_fused / np.outer(unit[keep], unit[keep]))
+        close(b_mine / unit[keep], b_fused / unit[keep])
+    poses = H[np.ix_(everything % 8 < 6, everything % 8 < 6)]
+    close(TORCH.marginal.redundancy(poses)[1], FUSED.marginal.redundancy(poses)[1])
+
+
 def test_every_function_that_the_tracker_calls_has_its_twin() -> None:
-    assert backend("fused") is FUSED and backend("torch") is TORCH
+    assert backend_named("fused") is FUSED and backend_named("torch") is TORCH
     for fused, mine in TWINS:
         assert mine.__name__.removeprefix(torch_backend.__name__) == fused.__name__.removeprefix(kernels.__name__)
     callers = "".join(
@@ -209,41 +229,61 @@ def test_every_function_that_the_tracker_calls_has_its_twin() -> None:
     )
     for fused, mine in TWINS:
         short = fused.__name__.split(".")[-1]
-        used = set(re.findall(rf"\b(?:{short}|fused)\.(\w+)\(", callers)) & set(vars(fused))
+        used = set(re.findall(rf"\b(?:{short}|computing)\.(\w+)\(", callers)) & set(vars(fused))
         assert used - {"select"} <= set(vars(mine)) and used
 
 
-def use_torch(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the tracker run on the torch functions."""
+def forbid_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every compiled function that has a torch twin, and the compiled Algorithm 1, fail when Python calls it."""
+
+    def fail(*_: object) -> None:
+        raise AssertionError("a compiled loop ran")
+
     for fused, mine in TWINS:
-        for name in vars(mine):
-            if hasattr(fused, name) and isinstance(vars(fused)[name], numba.core.dispatcher.Dispatcher):
-                monkeypatch.setattr(fused, name, getattr(mine, name))
-
-    def select(
-        A: np.ndarray, seen: np.ndarray, where: np.ndarray, radius: np.ndarray, m: int, information: np.ndarray,
-        spread: float, c_z: float, distance: float,
-    ) -> np.ndarray:  # fmt: skip
-        visible = np.flatnonzero(seen)
-        rows, radius, where = (torch.from_numpy(x[visible]) for x in (A, radius, where))
-        chosen = select_informative(
-            rows, radius, m, torch.from_numpy(information), spread=spread, c_z=c_z, where=where, distance=distance
-        )
-        return visible[chosen.numpy()]
-
-    monkeypatch.setattr(choice, "select", select)
+        for name, function in vars(fused).items():
+            if isinstance(function, numba.core.dispatcher.Dispatcher) and (hasattr(mine, name) or name == "select"):
+                monkeypatch.setattr(fused, name, fail)
 
 
 def test_a_hundred_frames_give_the_same_trajectory(monkeypatch: pytest.MonkeyPatch) -> None:
     sequence = film(replace(SMALL, frames=100, samples=1))
-    with monkeypatch.context() as patched:
-        use_torch(patched)
-        assert alignment.align is torch_alignment.align and bundle.linearise_window is torch_bundle.linearise_window
-        mine = run(IdRgbdo(), sequence.frames)
     fused = run(IdRgbdo(), sequence.frames)
+    with monkeypatch.context() as patched:
+        forbid_kernels(patched)
+        odometry = IdRgbdo(Config(backend="torch"))
+        mine = run(odometry, sequence.frames)
+        seen, bits = odometry.last_points()
+        assert len(seen) == len(bits) > 12
+        with pytest.raises(AssertionError, match="a compiled loop ran"):
+            run(IdRgbdo(), sequence.frames[:1])
     assert fused.statuses == mine.statuses == (Status.OK,) * 100
     off = (fused.trajectory().positions - mine.trajectory().positions).norm(dim=1)
     turned = se3.log(se3.inverse(fused.trajectory().T_world_cam) @ mine.trajectory().T_world_cam)[:, 3:].norm(dim=1)
     assert off.max() < 1e-3 and turned.max() < 1e-3
     path = (sequence.groundtruth.positions[1:] - sequence.groundtruth.positions[:-1]).norm(dim=1).sum()
     assert path > 0.3 and sum(record.result.keyframe for record in fused.records) >= 3
+
+
+@pytest.mark.parametrize("mode", ["rand", "grid", "inf"])
+@pytest.mark.parametrize("objective", ["bits", "paper"])
+def test_every_mode_and_objective_chooses_alike(cases: list[Case], mode: Mode, objective: str) -> None:
+    config = replace(CONFIG.selection, mode=mode, objective=objective)  # type: ignore[arg-type]
+    for case in cases[:2]:
+        mine, fused = (
+            select_points(case.keyframe, NEAR.numpy(), 24, PRIOR, config, NOISE, np.random.default_rng(0), backend)
+            for backend in (TORCH, FUSED)
+        )
+        assert len(fused) == 24 and mine.tolist() == fused.tolist()
+
+
+def test_recovery_is_the_same(cases: list[Case]) -> None:
+    """All candidates on the widest pyramid, from a guess that is far off."""
+    case = cases[0]
+    guess = se3.exp(torch.tensor([0.03, 0.02, -0.02, 0.02, -0.03, 0.02], dtype=torch.float64)).numpy()
+    index = case.choose(24)
+    (fused, verdict), (mine, same) = (
+        verification.recover(case.frame, case.keyframe, [guess], np.zeros(2), index, NOISE, backend)
+        for backend in (FUSED, TORCH)
+    )
+    close(mine.T_frame_kf, fused.T_frame_kf, 1e-6)
+    assert same == verdict and not verdict.doubt(0.5)
