@@ -121,9 +121,11 @@ def _mesh(sequence: datasets.RgbdSequence, trajectory: Trajectory, out: Path, co
 
 
 def make_odometry(config: Config) -> Odometry:
-    """The method of this package."""
+    """The method of this package, its kernels compiled."""
     from .id_rgbdo import IdRgbdo
+    from .warmup import warm_up
 
+    warm_up(IdRgbdo)
     return IdRgbdo(config)
 
 

@@ -19,6 +19,7 @@ FLOORS = (
     {"se3", "camera", "image", "information", "solver", "kernels", "configfile", "open3d_loader"},  # mathematics
     {"frame", "trajectory", "config"},  # things
     {"odometry", "methods"},
+    {"warmup"},
     {"photometric", "points", "marginalization"},  # measurement
     {"batched"},
     {"alignment"},

@@ -2,9 +2,26 @@
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Callable
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
 
 from numba import njit
 
-# nan and infinity keep their meaning, since failures are recognised by them; sums may be regrouped for SIMD
-kernel = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp", "nsz"})
+# of all kernels: the cache only looks at a kernel's own file, and would keep it when one that it calls has changed
+SOURCES = sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()[:8]
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile when first called; kept beside this file, else in the user's cache, or in $NUMBA_CACHE_DIR if it is set.
+
+    Where none of them can be written, every process compiles anew.
+    """
+    function.__qualname__ = f"{function.__qualname__}_{SOURCES}"  # it names the files in the cache
+    # nan and infinity keep their meaning, since failures are recognised by them; sums may be regrouped for SIMD
+    options = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "arcp", "nsz"}}
+    try:
+        return njit(function, cache=True, **options)
+    except RuntimeError:  # "no locator available": nowhere to keep it
+        return njit(function, **options)
