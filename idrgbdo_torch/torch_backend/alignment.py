@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 
@@ -11,7 +12,7 @@ from ..batched import Target, linearise_pairs
 from ..batched import robust_scale as batched_scale
 from ..kernels.model import Noise, Points
 from ..se3 import inverse
-from .convert import Array, chosen, inverse_of_depth, matrix, pinhole, residual_noise
+from .convert import SMALLEST, Array, chosen, inverse_of_depth, matrix, pinhole, residual_noise
 
 
 def align(
@@ -27,15 +28,14 @@ def align(
     inverse_depth = inverse_of_depth(depth)[None]
     coarse, fine = chosen(points, index_coarse), chosen(points, index_fine)
     sigma = residual_noise(noise)
-    problems = [
-        Problem(
-            fine if level == 0 else coarse,
-            Target(level, torch.from_numpy(images[level])[None], camera, inverse_depth),
-            int(steps[level]),
-            points.patch.shape[2] if level == 0 else pixels_coarse,
-        )
-        for level in range(len(steps))
-    ]
+    problems = []
+    for level in range(len(steps)):
+        some, pixels = (coarse, pixels_coarse) if level else (fine, points.patch.shape[2])
+        image = torch.from_numpy(images[level])
+        if min(image.shape) < SMALLEST:  # no point is seen
+            some = replace(some, inverse_depth=torch.zeros_like(some.inverse_depth))
+            image = torch.zeros(SMALLEST, SMALLEST)
+        problems.append(Problem(some, Target(level, image[None], camera, inverse_depth), int(steps[level]), pixels))
     known = Prior(inverse(matrix(T_prior_inv)), matrix(prior), matrix(affine0), matrix(affine_prior))
     with torch.no_grad():
         found = descend(problems, known, sigma)

@@ -14,7 +14,7 @@ from ..image import gradient as image_gradient
 from ..kernels.candidates import TIER
 from ..points import TRACKING_PATTERN, sample_patterns
 from ..solver import solve
-from .convert import Array
+from .convert import SMALLEST, Array
 
 BINS = 64  # gray levels per px; stronger gradients count as the last one
 TRIES = 6  # pixels of a cell that are looked at for a depth plane
@@ -95,9 +95,11 @@ def sample_patches(
     images: Sequence[Array], uv: Array, index: Array, first: int, end: int, patch: Array, gradient: Array
 ) -> None:
     """Fill reference intensities (L, N, P) and gradients (L, N, P, 2) of some points on levels first to end."""
-    pyramid = [torch.from_numpy(image) for image in images[:end]]
+    # sides shrink with the level, so what is too small comes last
+    pyramid = [torch.from_numpy(image) for image in images[:end] if min(image.shape) >= SMALLEST]
     patches, gradients = sample_patterns(pyramid, torch.from_numpy(uv[index]), TRACKING_PATTERN[: patch.shape[2]])
-    for level in range(first, end):
+    patch[first:end, index] = gradient[first:end, index] = 0.0
+    for level in range(first, len(pyramid)):
         patch[level, index] = patches[level].float().numpy()
         gradient[level, index] = gradients[level].float().numpy()
 

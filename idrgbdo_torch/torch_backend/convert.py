@@ -15,6 +15,7 @@ from ..kernels.model import Noise, Points
 from ..points import HostPoints
 
 Array = NDArray[Any]
+SMALLEST = 4  # px, side of an image in which anything can be sampled: coarse levels of small images are smaller
 
 
 def pinhole(cam: Array, image: Array) -> Pinhole:
