@@ -6,6 +6,7 @@ hundred times slower for one pair of frames; fused is what runs unless told othe
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
 
@@ -30,6 +31,10 @@ class Backend:
     candidates: ModuleType  # block_thresholds, candidate_scores, grid_candidates, planes_at, sample_patches, ...
     choice: ModuleType  # whitened_rows; select in the fused one
     marginal: ModuleType  # marginalize, redundancy
+
+    def __reduce__(self) -> tuple[Callable[[BackendName], Backend], tuple[BackendName]]:
+        """Kept by name where the state of a run is pickled: modules cannot be."""
+        return backend_named, (self.name,)
 
 
 FUSED = Backend("fused", agreement, alignment, bundle, candidates, choice, marginal)
