@@ -1,0 +1,56 @@
+"""Sizes of the benchmarks: as the documentation reports them with --benchmark-enable, tiny and untimed without."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import pytest
+import torch
+from rendered import Film, film
+
+from idrgbdo_torch.experiments import cost
+from idrgbdo_torch.synthetic import SynthConfig
+
+
+@pytest.fixture(scope="session")
+def full(request: pytest.FixtureRequest) -> bool:
+    """Whether times are taken: 640x480, and the targets must hold."""
+    return bool(request.config.getoption("benchmark_enable"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread() -> Iterator[None]:
+    """For every library that can be told at run time; for Open3D set OMP_NUM_THREADS=1."""
+    of_torch, of_opencv = torch.get_num_threads(), cv2.getNumThreads()
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    yield
+    torch.set_num_threads(of_torch)
+    cv2.setNumThreads(of_opencv)
+
+
+@pytest.fixture(scope="session")
+def shrink(full: bool) -> int:
+    """By what the image size is divided."""
+    return 1 if full else 4
+
+
+@pytest.fixture(scope="session")
+def scene(shrink: int) -> cost.Scene:
+    """A keyframe and a frame four later."""
+    return cost.pair(shrink)
+
+
+@pytest.fixture(scope="session")
+def window_scene(shrink: int) -> cost.Scene:
+    """As many keyframes as a window may have."""
+    return cost.window_scene(shrink=shrink)
+
+
+@pytest.fixture(scope="session")
+def footage(full: bool) -> Film:
+    """Frames of a desk, filmed by hand."""
+    if full:
+        return film(SynthConfig(frames=60))
+    return film(SynthConfig(frames=12, width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5))

@@ -1,0 +1,158 @@
+"""The ratios that the package promises: `OMP_NUM_THREADS=1 pytest tests/benchmarks/test_targets.py --benchmark-enable`.
+
+Each is measured in one process, its sides taking turns, and shown. Without --benchmark-enable everything runs on tiny
+images and nothing has to be fast. Times are of the processor, of all threads: what one thread would need.
+"""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Callable, Sequence
+from itertools import islice, pairwise
+from pathlib import Path
+from statistics import fmean, median
+
+import pytest
+from endless import back_and_forth
+from rendered import Film
+
+from baselines import METHODS
+from idrgbdo_torch.datasets import RgbdSequence, open_sequence
+from idrgbdo_torch.experiments import cost, fig7, fig8
+from idrgbdo_torch.frame import RgbdFrame
+from idrgbdo_torch.id_rgbdo import IdRgbdo
+from idrgbdo_torch.odometry import Odometry, run
+from idrgbdo_torch.runfolder import RunFolder
+from idrgbdo_torch.synthetic import RenderedSequence, SynthConfig
+from idrgbdo_torch.synthetic.sequence import write_tum as write_folder
+
+LIBRARIES = [name for name in METHODS if name.startswith(("open3d", "opencv"))]
+Show = Callable[[str], None]
+
+
+@pytest.fixture
+def show(full: bool, capsys: pytest.CaptureFixture[str]) -> Show:
+    """Writes a line past pytest, where the figures mean something."""
+
+    def line(text: str) -> None:
+        if full:
+            with capsys.disabled():
+                print(f"\n  {text}", end="", flush=True)
+
+    return line
+
+
+def track_ms(odometry: Odometry, frame: RgbdFrame) -> float:
+    """Processor time of one frame."""
+    begin = time.process_time_ns()
+    odometry.track(frame)
+    return (time.process_time_ns() - begin) / 1e6
+
+
+def test_a_frame_costs_little_beside_the_libraries(full: bool, footage: Film, show: Show) -> None:
+    """Median 40 times, mean with keyframes 15 times below the fastest library's median, on the same frames."""
+    frames = list(islice(back_and_forth(footage.frames), 240 if full else 4))
+    ours = IdRgbdo()
+    others = {name: METHODS[name].make(0) for name in LIBRARIES}
+    times: list[float] = []
+    theirs: dict[str, list[float]] = {name: [] for name in others}
+    for number, frame in enumerate(frames):
+        times.append(track_ms(ours, frame))
+        if number % 10 < 2:  # a pair of neighbours now and then
+            for name, odometry in others.items():
+                theirs[name].append(track_ms(odometry, frame))
+    medians = {name: median(each[1::2]) for name, each in theirs.items()}
+    fastest = min(medians, key=medians.__getitem__)
+    typical, mean = median(times[2:]), fmean(times[2:])
+    show(f"a frame: median {typical:.2f} ms, mean {mean:.2f} ms; {fastest} {medians[fastest]:.1f} ms")
+    show(f"that is {medians[fastest] / typical:.0f} and {medians[fastest] / mean:.0f} times less (40 and 15 wanted)")
+    if full:
+        assert medians[fastest] > 40 * typical
+        assert medians[fastest] > 15 * mean
+
+
+def test_tracking_grows_with_the_points(full: bool, shrink: int, show: Show) -> None:
+    """500 points cost 10 times as much as 24, linearly; choosing 24 costs less than half of tracking them."""
+    rows = fig7.survey(300, shrink=1) if full else fig7.survey(1, (24, 48), shrink)
+    first, last = rows[0], rows[-1]
+    fit = fig7.linear(rows, 1)[2]
+    show(f"tracking {last[0]} points costs {last[1] / first[1]:.1f} times {first[0]} (10 wanted), R^2 {fit:.3f}")
+    show(f"choosing {first[0]} costs {first[2] / first[1]:.0%} of tracking them (50 % wanted)")
+    if full:
+        assert last[1] > 10 * first[1]
+        assert fit > 0.98
+        assert first[2] < 0.5 * first[1]
+
+
+def test_the_window_grows_with_points_and_keyframes(full: bool, shrink: int, show: Show) -> None:
+    """500 points a keyframe cost 10 times as much as 24; an iteration no more than points times keyframes squared."""
+    keyframes = cost.KEYFRAMES if full else (3, 4)
+    rows = fig8.survey(9, (24, 500), keyframes) if full else fig8.survey(1, (24, 48), keyframes, shrink)
+    ms = {(row[0], row[1]): row[2] for row in rows}
+    each = {(row[0], row[1]): row[2] / max(row[3], 1) for row in rows}
+    few, many = rows[0][0], rows[-1][0]
+    usual = 8 if full else 4
+    ratio = ms[many, usual] / ms[few, usual]
+    growth = [each[many, b] / each[many, a] / (b / a) ** 2 for a, b in pairwise(keyframes)]
+    show(f"a window of {usual} keyframes: {many} points cost {ratio:.1f} times {few} (10 wanted)")
+    show(f"an iteration over keyframes squared, from size to size: {', '.join(f'{g:.2f}' for g in growth)}")
+    if full:
+        assert ratio > 10
+        assert max(growth) < 1.15
+
+
+def test_nothing_grows_along_a_sequence(full: bool, footage: Film, show: Show) -> None:
+    """3000 frames: the last 500 take as long as the first within 5 %, and memory stays within 20 MB."""
+    count, part = (3000, 500) if full else (40, 10)
+    odometry, times, resident = IdRgbdo(), [], 0.0
+    for number, frame in enumerate(islice(back_and_forth(footage.frames), count)):
+        times.append(track_ms(odometry, frame))
+        if number == part:
+            resident = resident_mb()
+    growth = fmean(times[-part:]) / fmean(times[3 : part + 3])
+    memory = resident_mb() - resident
+    show(f"{count} frames: mean of the last {part} over that of the first {growth:.3f}, memory {memory:+.1f} MB")
+    if full:
+        assert abs(growth - 1) < 0.05
+        assert memory < 20
+
+
+def test_a_run_is_as_fast_as_decoding(full: bool, tmp_path: Path, show: Show) -> None:
+    """Tracking 300 frames of PNG and writing the results: at least 0.85 of the rate of decoding alone."""
+    small = SynthConfig(frames=4, width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5)
+    sequence = lengthened(SynthConfig(frames=60) if full else small, 300 if full else 8, tmp_path / "film")
+    rates: list[tuple[float, float]] = []
+    for turn in range(3 if full else 1):
+        begin = time.perf_counter()
+        assert sum(isinstance(frame, RgbdFrame) for frame in sequence) == len(sequence)
+        decoded = time.perf_counter()
+        with RunFolder(tmp_path / str(turn)) as folder:
+            odometry = IdRgbdo()
+            folder.finish(run(odometry, sequence, folder.append), odometry)
+        tracked = time.perf_counter()
+        rates.append((len(sequence) / (decoded - begin), len(sequence) / (tracked - decoded)))
+    decoding, running = (median(each) for each in zip(*rates, strict=True))
+    show(f"decoding {decoding:.0f}, a run {running:.0f} frames per second: {running / decoding:.2f} (0.85 wanted)")
+    if full:
+        assert running > 0.85 * decoding
+
+
+def lengthened(config: SynthConfig, frames: int, folder: Path) -> RgbdSequence:
+    """A rendered sequence on disk, its files listed forwards, backwards, and so on."""
+    write_folder(RenderedSequence(config), folder)
+    for kind in ("rgb", "depth"):
+        lines = [line for line in (folder / f"{kind}.txt").read_text().splitlines() if not line.startswith("#")]
+        names = [line.split()[1] for line in lines]
+        turn: Sequence[str] = [*names, *names[-2:0:-1]]
+        listed = (f"{number / 30:.6f} {turn[number % len(turn)]}\n" for number in range(frames))
+        (folder / f"{kind}.txt").write_text("".join(listed))
+    return open_sequence(folder)
+
+
+def resident_mb() -> float:
+    """Memory of this process."""
+    statm = Path("/proc/self/statm")
+    if statm.exists():
+        return int(statm.read_text().split()[1]) * resource.getpagesize() / 1e6
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
