@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 FEWEST_CANDIDATES = 16  # that make a keyframe
-SAME_VIEW_PX = 4.0  # mean distance in the image between two guesses that the same points serve
+SAME_VIEW_PX = 6.0  # mean distance in the image between two guesses that the same points serve
 PATIENCE = 3  # lost frames in a row before a new segment starts
 
 

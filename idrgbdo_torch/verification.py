@@ -23,7 +23,7 @@ GAIN_LIMIT = 1.0  # of the logarithm: with no contrast left, a black or a white 
 QUICK_LEVELS = 3  # of the pyramid, for a frame that is where it was expected
 QUICK_STRIDE = 2  # of the coarse points, every second one
 QUICK_PIXELS = 1  # of a coarse point's patch, likewise
-EXPECTED_PX = 2.5  # mean distance in the image between the predicted and the measured pose of such a frame
+EXPECTED_PX = 2.0  # mean distance in the image between the predicted and the measured pose of such a frame
 
 
 @dataclass(frozen=True)

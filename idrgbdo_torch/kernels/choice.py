@@ -10,6 +10,7 @@ from .compiled import kernel
 from .linear import inverse_spd
 from .model import PATTERN_U, distortion_weight, photometric_variance
 
+CHUNK = 128  # points whose gains are computed together
 BLOCK = 32  # points that share a leader in the greedy choice
 PIXELS = PATTERN_U.shape[0]
 GRADIENT_NOISE = 0.25  # squared gradient of pure noise over var_intensity, the sensor's share of which is a quarter
@@ -118,6 +119,40 @@ def gain_bits(A, n, C, AC):
 
 
 @kernel
+def all_gains(columns, C):
+    """gain_bits of every point (N,), from its rows with the points last, (3, 6, N)."""
+    n = columns.shape[2]
+    out = np.empty(n)
+    AC = np.empty((3, 6, CHUNK))
+    S = np.empty((6, CHUNK))
+    for first in range(0, n, CHUNK):
+        size = min(CHUNK, n - first)
+        for r in range(3):
+            for i in range(6):
+                for m in range(size):
+                    AC[r, i, m] = 0.0
+                for j in range(6):
+                    c = C[j, i]
+                    for m in range(size):
+                        AC[r, i, m] += columns[r, j, first + m] * c
+        pair = 0
+        for r in range(3):
+            for q in range(r, 3):
+                one = 1.0 if r == q else 0.0
+                for m in range(size):
+                    S[pair, m] = one
+                for i in range(6):
+                    for m in range(size):
+                        S[pair, m] += AC[r, i, m] * columns[q, i, first + m]
+                pair += 1
+        for m in range(size):
+            s00, s01, s02, s11, s12, s22 = S[0, m], S[1, m], S[2, m], S[3, m], S[4, m], S[5, m]
+            det = s00 * (s11 * s22 - s12 * s12) - s01 * (s01 * s22 - s12 * s02) + s02 * (s01 * s12 - s11 * s02)
+            out[first + m] = 0.5 * log(max(det, 1.0)) / log(2.0)
+    return out
+
+
+@kernel
 def select(A, seen, where, radius, m, information, spread, c_z, distance):
     """Algorithm 1 over whitened rows, lazily: a gain can only shrink as points join, so a stale gain is a bound.
 
@@ -126,7 +161,13 @@ def select(A, seen, where, radius, m, information, spread, c_z, distance):
     Returns the chosen indices (<= m,) in order of choice.
     """
     n = A.shape[0]
-    free = seen.copy()
+    barred = np.empty(n)  # 0, or -infinity for a point that is out of the race
+    u = np.empty(n)
+    v = np.empty(n)
+    for i in range(n):
+        barred[i] = 0.0 if seen[i] else -np.inf
+        u[i] = where[i, 0]
+        v[i] = where[i, 1]
     chosen = np.empty(m, dtype=np.int64)
     if n == 0:
         return chosen[:0]
@@ -134,16 +175,18 @@ def select(A, seen, where, radius, m, information, spread, c_z, distance):
     L = information.copy()
     distance2 = distance * distance
     # one point per degree of freedom: the largest whitened derivative
-    squares = np.empty((6, n))
+    columns = np.empty((3, 6, n))  # points last, so that what is done to all of them becomes SIMD
     for i in range(n):
-        for k in range(6):
-            squares[k, i] = A[i, 0, k] ** 2 + A[i, 1, k] ** 2 + A[i, 2, k] ** 2
+        for r in range(3):
+            for k in range(6):
+                columns[r, k, i] = A[i, r, k]
     for k in range(6):
         best = -1
         best_value = 0.0
         for i in range(n):
-            if free[i] and squares[k, i] > best_value:
-                best_value = squares[k, i]
+            square = columns[0, k, i] ** 2 + columns[1, k, i] ** 2 + columns[2, k, i] ** 2
+            if square > best_value and barred[i] == 0.0:
+                best_value = square
                 best = i
         if count >= m:
             break
@@ -155,12 +198,10 @@ def select(A, seen, where, radius, m, information, spread, c_z, distance):
             for i in range(6):
                 for j in range(6):
                     L[i, j] += A[best, r, i] * A[best, r, j]
-        close(free, where, best, distance2)
+        bar(barred, u, v, best, distance2)
     C = inverse_spd(L)
     AC = np.empty((3, 6))
-    gains = np.empty(n)
-    for i in range(n):
-        gains[i] = gain_bits(A, i, C, AC) if free[i] else 0.0
+    gains = all_gains(columns, C)
     fresh = np.full(n, count)  # how many points had been chosen when a gain was computed
     value = np.empty(n)
     blocks = (n + BLOCK - 1) // BLOCK
@@ -169,10 +210,7 @@ def select(A, seen, where, radius, m, information, spread, c_z, distance):
     z = 1.0
     while count < m:
         for i in range(n):
-            value[i] = gains[i] + spread / (c_z * (radius[i] - z) ** 2 + 1.0)
-        for i in range(n):
-            if not free[i]:
-                value[i] = -np.inf
+            value[i] = gains[i] + spread / (c_z * (radius[i] - z) ** 2 + 1.0) + barred[i]
         for block in range(blocks):
             leader[block] = largest(value, block * BLOCK, min(n, (block + 1) * BLOCK))
         best = leader[0]
@@ -195,7 +233,7 @@ def select(A, seen, where, radius, m, information, spread, c_z, distance):
         count += 1
         for r in range(3):  # C <- (C^-1 + a^T a)^-1, row by row
             shrink(C, A[best, r])
-        close(free, where, best, distance2)
+        bar(barred, u, v, best, distance2)
         z = max(0.0, z - 1.0 / steps)
     return chosen[:count]
 
@@ -225,11 +263,9 @@ def shrink(C, a):
 
 
 @kernel
-def close(free, where, best, distance2):
+def bar(barred, u, v, best, distance2):
     """Take the chosen point and everything closer than the distance out of the race."""
-    for i in range(free.shape[0]):
-        if free[i]:
-            du = where[i, 0] - where[best, 0]
-            dv = where[i, 1] - where[best, 1]
-            if du * du + dv * dv < distance2 or i == best:
-                free[i] = False
+    for i in range(barred.shape[0]):  # no branches, so that this becomes SIMD
+        near = (u[i] - u[best]) ** 2 + (v[i] - v[best]) ** 2 < distance2
+        barred[i] = -np.inf if near else barred[i]
+    barred[best] = -np.inf
