@@ -64,17 +64,17 @@ def extract_candidates(frame: Frame, config: Config, rng: Generator) -> tuple[Ar
     sigma = inverse_depth_sigma(config)
     height, width = frame.depth.shape
     if mode == "rand":
-        tries = 2 * config.selection.candidates
+        tries = 2 * config.candidates
         u = rng.integers(BORDER, width - BORDER, tries)
         v = rng.integers(BORDER, height - BORDER, tries)
         uv: Array = rng.permutation(np.unique(np.column_stack([u, v]), axis=0)).astype(np.float64)
         valid, inv_depth = computing.planes_at(frame.depth, uv, PLANE_RADIUS, sigma)
-        keep = np.flatnonzero(valid)[: config.selection.candidates]
+        keep = np.flatnonzero(valid)[: config.candidates]
         return uv[keep], inv_depth[keep], np.zeros(len(keep), dtype=np.int64)
     gradient2 = computing.gradient_squared(frame.images[0])
     thresholds = computing.block_thresholds(gradient2, BLOCK, THRESHOLD_OFFSET)
     edges = cv2.Canny(frame.images[0].astype(np.uint8), *CANNY, L2gradient=True)
-    grid = max(EVERYWHERE, round(float(np.sqrt(width * height / config.selection.candidates))))
+    grid = max(EVERYWHERE, round(float(np.sqrt(width * height / config.candidates))))
     cell = EVERYWHERE if mode == "inf" else grid
     scores = computing.candidate_scores(gradient2, thresholds, BLOCK, edges, frame.depth)
     uv, inv_depth, tier = computing.grid_candidates(scores, frame.depth, cell, BORDER, PLANE_RADIUS, sigma)

@@ -39,7 +39,7 @@ class SelectionConfig:
     points: Count = 24
     per_frame: bool = True  # choose anew for every frame among those the predicted pose sees, or once a keyframe
     objective: Literal["bits", "paper"] = "bits"  # Eq. 18 in bits with a weighted spread, or as printed
-    candidates: Count = 1000  # kept per keyframe
+    candidates: Count = 600  # kept per keyframe, but at least four times the points
     margin: NonNegative = 20.0  # px inside the image
     spread: NonNegative = 0.25  # bits, weight of the second term of Eq. 18
     c_z: NonNegative = 25.0  # its sharpness: half weight at a fifth of the image radius
@@ -87,6 +87,11 @@ class Config:
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)
     window: WindowConfig = field(default_factory=WindowConfig)
+
+    @property
+    def candidates(self) -> int:
+        """Candidates of a keyframe: enough to leave a choice."""
+        return max(self.selection.candidates, 4 * self.selection.points)
 
     @property
     def window_points(self) -> int:

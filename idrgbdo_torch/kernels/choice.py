@@ -129,21 +129,26 @@ def all_gains(columns, C):
         size = min(CHUNK, n - first)
         for r in range(3):
             for i in range(6):
+                c0, c1, c2, c3, c4, c5 = C[0, i], C[1, i], C[2, i], C[3, i], C[4, i], C[5, i]
                 for m in range(size):
-                    AC[r, i, m] = 0.0
-                for j in range(6):
-                    c = C[j, i]
-                    for m in range(size):
-                        AC[r, i, m] += columns[r, j, first + m] * c
+                    p = first + m
+                    AC[r, i, m] = (
+                        (columns[r, 0, p] * c0 + columns[r, 1, p] * c1)
+                        + (columns[r, 2, p] * c2 + columns[r, 3, p] * c3)
+                        + (columns[r, 4, p] * c4 + columns[r, 5, p] * c5)
+                    )
         pair = 0
         for r in range(3):
             for q in range(r, 3):
                 one = 1.0 if r == q else 0.0
                 for m in range(size):
-                    S[pair, m] = one
-                for i in range(6):
-                    for m in range(size):
-                        S[pair, m] += AC[r, i, m] * columns[q, i, first + m]
+                    p = first + m
+                    S[pair, m] = (
+                        one
+                        + (AC[r, 0, m] * columns[q, 0, p] + AC[r, 1, m] * columns[q, 1, p])
+                        + (AC[r, 2, m] * columns[q, 2, p] + AC[r, 3, m] * columns[q, 3, p])
+                        + (AC[r, 4, m] * columns[q, 4, p] + AC[r, 5, m] * columns[q, 5, p])
+                    )
                 pair += 1
         for m in range(size):
             s00, s01, s02, s11, s12, s22 = S[0, m], S[1, m], S[2, m], S[3, m], S[4, m], S[5, m]
