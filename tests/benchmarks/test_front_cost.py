@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 from rendered import Film
@@ -22,11 +23,8 @@ from idrgbdo_torch.synthetic.sequence import write_tum as write_folder
 def folder(full: bool, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two frames as PNG."""
     path = tmp_path_factory.mktemp("decode") / "film"
-    config = (
-        SynthConfig(frames=2)
-        if full
-        else SynthConfig(frames=2, width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5)
-    )
+    small = SynthConfig(frames=2, width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5)
+    config = SynthConfig(frames=2) if full else small
     write_folder(RenderedSequence(config), path)
     return path
 
@@ -52,8 +50,6 @@ def test_pyramid(footage: Film, benchmark: BenchmarkFixture) -> None:
 
 def test_keyframe(scene: Scene, benchmark: BenchmarkFixture) -> None:
     """Edges, gradients, candidates and their patches: what a keyframe costs beside the window."""
-    import numpy as np
-
     benchmark.group = "2 prepare a frame"
     frame = prepare(scene.frames[0])
     keyframe = benchmark(lambda: make_keyframe(frame, Config(), np.random.default_rng(0)))
