@@ -146,7 +146,7 @@ def test_killed_half_way_it_goes_on_from_there(recording: Path, tmp_path: Path) 
 def test_the_documented_example_runs(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    text = (ROOT / "docs" / "methods.md").read_text()
+    text = (ROOT / "docs" / "comparison.md").read_text()
     code = text.split("```python\n")[1].split("```")[0]
     (tmp_path / "mine.py").write_text(code)
     monkeypatch.chdir(tmp_path)
