@@ -65,14 +65,21 @@ def test_alignment(cases: list[Case], levels: int, pixels: int) -> None:
         arguments = alignment_arguments(case, levels, pixels)
         fused, mine = alignment.align(*arguments), torch_alignment.align(*arguments)
         T, affine, H, rms, scale, iterations, seen, kept, change = mine
-        close(T, fused[0], 1e-10)
-        close(affine, fused[1], 1e-8)
+        close(T, fused[0])
+        close(affine, fused[1], 1e-9)  # gain and offset are nearly one: every iteration's rounding grows along both
         unit = np.diag(fused[2]) ** -0.5
-        close(unit[:, None] * H * unit, unit[:, None] * fused[2] * unit, 1e-9)
-        close(rms, fused[3], 1e-9)
+        close(unit[:, None] * H * unit, unit[:, None] * fused[2] * unit)
+        close(rms, fused[3])
         assert (iterations, seen, kept) == fused[5:8]
-        assert (scale, change) == pytest.approx((fused[4], fused[8]), rel=1e-6)
+        assert (scale, change) == pytest.approx((fused[4], fused[8]), rel=1e-8)
         assert iterations >= 2 * levels and kept > 12
+
+
+def test_robust_scale() -> None:
+    rms = np.random.default_rng(0).uniform(0, 3, 101)
+    rms[::7] = -1.0
+    for some in (rms, rms[:60], rms[:7], -np.ones(4), np.zeros(3)):
+        assert torch_alignment.robust_scale(some) == pytest.approx(alignment.robust_scale(some), rel=1e-14)
 
 
 def test_alignment_moves_neither_its_guess_nor_the_images(cases: list[Case]) -> None:
@@ -93,7 +100,7 @@ def test_rows_and_verification(cases: list[Case], use_depth: bool, paper: bool) 
     cam, T = case.keyframe.frame.intrinsics, case.T.numpy()
     arguments = (cam[0], camera.width, camera.height, 20.0, points, everyone, T, noise)
     for mine, fused in zip(torch_choice.whitened_rows(*arguments), choice.whitened_rows(*arguments), strict=True):
-        close(mine.astype(float), fused.astype(float), 1e-9)
+        close(mine.astype(float), fused.astype(float))
     for level in (0, 1):
         arguments = (
             case.frame.images[level], case.frame.depth, cam[level], level, points, points.patch[level], everyone, T,

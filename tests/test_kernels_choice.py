@@ -22,7 +22,7 @@ from idrgbdo_torch.photometric import (
     residual_variance,
     warp,
 )
-from idrgbdo_torch.selection import select_informative
+from idrgbdo_torch.selection import gain_bits, select_informative
 from idrgbdo_torch.tracking import kernel_noise
 
 
@@ -54,7 +54,10 @@ def test_whitened_rows_carry_the_point_s_information(scene: Scene) -> None:
     row = warped.dP_dxi[:, 2] / z[:, None] ** 2 / (noise.var_depth + var_d / (z * d) ** 4).sqrt()[:, None]
     expected = expected + row[..., None] * row[:, None]
     torch.testing.assert_close(
-        torch.from_numpy(A[seen]).mT @ torch.from_numpy(A[seen]), expected[inside], rtol=1e-9, atol=1e-6
+        torch.from_numpy(A[seen]).mT @ torch.from_numpy(A[seen]),
+        expected[inside],
+        rtol=1e-10,
+        atol=1e-10 * float(expected.abs().max()),
     )
     assert (A[~seen] == 0).all()
     blind = choice.whitened_rows(
@@ -62,6 +65,21 @@ def test_whitened_rows_carry_the_point_s_information(scene: Scene) -> None:
         noise._replace(use_depth=False),
     )  # fmt: skip
     assert (blind[0][:, 2] == 0).all() and (A[seen, 2, 2] > 0).all()
+
+
+def test_gains_and_the_covariance_after_a_choice() -> None:
+    rng = np.random.default_rng(0)
+    A = rng.standard_normal((40, 3, 6)) * [1e3, 1e3, 1e3, 300, 300, 300] * rng.uniform(1e-3, 1, (40, 1, 1))
+    C = np.diag(1 / np.array([1e4, 1e4, 1e4, 1e3, 1e3, 1e3]))
+    information = torch.linalg.inv(torch.from_numpy(C))
+    for n in range(40):
+        gains = [choice.gain_bits(A, i, C, np.empty((3, 6))) for i in range(40)]
+        close(gains, gain_bits(torch.from_numpy(A), information))
+        for row in A[n]:
+            choice.shrink(C, row)
+        information = information + torch.from_numpy(A[n].T @ A[n])
+        unit = information.diagonal().sqrt()
+        close(unit[:, None] * torch.from_numpy(C) * unit, unit[:, None] * torch.linalg.inv(information) * unit)
 
 
 @pytest.mark.parametrize("distance", [0.0, 25.0])
