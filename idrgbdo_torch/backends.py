@@ -1,7 +1,7 @@
 """What the tracker computes with: fused kernels, or the same functions in plain torch.
 
 Both are packages with files of the same names and functions of the same arguments. torch is the definition and some
-hundred times slower for one pair of frames; fused is what runs unless told otherwise.
+fifty times slower for one pair of frames; fused is what runs unless told otherwise.
 """
 
 from __future__ import annotations
