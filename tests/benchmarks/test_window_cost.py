@@ -8,8 +8,8 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from idrgbdo_torch.experiments import cost
 
 
-@pytest.mark.parametrize("points", cost.POINTS)
-@pytest.mark.parametrize("keyframes", cost.KEYFRAMES)
+@pytest.mark.parametrize("points", cost.POINTS, ids="{:03}".format)
+@pytest.mark.parametrize("keyframes", cost.KEYFRAMES, ids="{:02}".format)
 def test_optimise(
     keyframes: int, points: int, full: bool, window_scene: cost.Scene, benchmark: BenchmarkFixture
 ) -> None:
