@@ -23,7 +23,7 @@ THRESHOLD_OFFSET = 7.0  # gray levels above the region's median gradient (DSO)
 CANNY = (50, 200)  # gray levels (RGBDTAM)
 PLANE_RADIUS = 3  # px, neighbourhood that a point's inverse depth is fitted to
 BORDER = 4  # px, room for the patch and its gradients
-EVERYWHERE = 4  # px, side of a grid cell in mode "inf": as good as no grid, without patches on top of each other
+EVERYWHERE = 8  # px, side of a grid cell in mode "inf": as good as no grid, without patches on top of each other
 
 
 def make_keyframe(frame: Frame, config: Config, rng: Generator) -> Keyframe:
