@@ -174,7 +174,7 @@ def test_what_a_keyframe_holds(frame: Frame, mode: Mode) -> None:
 def test_inf_has_the_most_to_choose_from(frame: Frame) -> None:
     counts = {}
     for mode in ("grid", "inf", "inf+grid"):
-        keyframe = make_keyframe(frame, with_mode(mode, candidates=600), np.random.default_rng(0))
+        keyframe = make_keyframe(frame, with_mode(mode, candidates=300), np.random.default_rng(0))
         counts[mode] = len(keyframe.points.uv)
     assert counts["grid"] == counts["inf+grid"] < 0.5 * counts["inf"]
 

@@ -48,7 +48,7 @@ def run_page(
         note = "Of the pose against its keyframe, in bits: one more is a standard deviation twice as large."
         sections.append(Section("Certainty", figure(drawn), note))
     stages = {
-        "reading": [_number(row["decode_ms"]) for row in rows],
+        "waiting for images": [_number(row["decode_ms"]) for row in rows],
         "tracking": [_number(row["ms"]) if row["keyframe"] == "0" else None for row in rows],
         "tracking and a new keyframe": [_number(row["ms"]) if row["keyframe"] == "1" else None for row in rows],
     }
