@@ -90,7 +90,7 @@ def align(
     expected one starts within reach of few coarse pixels; what comes out of it must fit, and be where expected.
     """
     if surprise_px < EXPECTED_PX:
-        few = keyframe.coarse[::QUICK_STRIDE]
+        few = np.ascontiguousarray(keyframe.coarse[::QUICK_STRIDE])
         tracked = track_frame(
             frame, keyframe, guess, affine, index, few, prior, noise, min(levels, QUICK_LEVELS), QUICK_PIXELS, backend
         )

@@ -7,19 +7,50 @@ from math import sqrt
 import numpy as np
 
 from .compiled import kernel
-from .lie import log_se3, retract
-from .linear import dot, multiply, solve_spd
+from .lie import compose, log_se3, retract
+from .linear import dot, solve_spd
 from .linearisation import linearise
 
 
 @kernel
 def robust_scale(rms):
     """1.4826 MAD-like scale of the points' whitened rms, with a median rms of 0.9 counting as 1."""
-    seen = np.sort(rms)
-    first = np.searchsorted(seen, 0.0)
-    if first == seen.shape[0]:
+    seen = np.empty(rms.shape[0])
+    count = 0
+    for n in range(rms.shape[0]):
+        if rms[n] >= 0.0:
+            seen[count] = rms[n]
+            count += 1
+    if count == 0:
         return 1.0
-    return max(seen[(first + seen.shape[0]) // 2] / 0.9, 0.5)
+    return max(smallest(seen, count, count // 2) / 0.9, 0.5)
+
+
+@kernel
+def smallest(values, count, k):
+    """The k-th smallest, from 0, of the first `count` values, which are reordered (Hoare's selection)."""
+    low = 0
+    high = count - 1
+    while low < high:
+        pivot = values[(low + high) // 2]
+        i = low
+        j = high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if k <= j:
+            high = j
+        elif k >= i:
+            low = i
+        else:
+            break
+    return values[k]
 
 
 @kernel
@@ -111,7 +142,7 @@ def align(
             affine_centre = affine.copy()
     # the information and the residuals at the accepted pose
     energy, seen, kept = linearise(
-        images[0], depth, cams[0], 0, points, index_fine, points.patch.shape[2], T, affine, scale, noise.outlier, noise,
+        images[level], depth, cams[level], level, points, index_fine, points.patch.shape[2], T, affine, scale, noise.outlier, noise,
         H, b, rms
     )  # fmt: skip
     for k in range(2):
@@ -123,7 +154,7 @@ def align(
 @kernel
 def prior_terms(H, b, T, affine, affine_centre, prior, T_prior_inv, affine_prior):
     """Add the motion prior (Eq. 19) and the brightness prior to H and b; returns their energy."""
-    from_prior = log_se3(multiply(T, T_prior_inv))
+    from_prior = log_se3(compose(T, T_prior_inv))
     energy = 0.0
     for i in range(6):
         pull = dot(prior[i], from_prior)
@@ -148,7 +179,7 @@ def brightness_information(H, least):
     """(2, 2) information of the brightness with the pose marginalised; `least` where that fails."""
     out = H[6:, 6:].copy()
     for k in range(2):
-        ok, x = solve_spd(H[:6, :6], H[:6, 6 + k])
+        ok, x = solve_spd(H[:6, :6].copy(), H[:6, 6 + k].copy())
         if not ok:
             return least
         for j in range(2):

@@ -70,10 +70,14 @@ def inverse_spd(A):
     out = np.zeros((n, n))
     unit = np.zeros(n)
     for i in range(n):
-        unit[:] = 0.0
         unit[i] = 1.0
         ok, column = solve_spd(A, unit)
         if not ok:
-            return np.zeros((n, n))
-        out[:, i] = column
+            for j in range(n):
+                for k in range(n):
+                    out[j, k] = 0.0
+            return out
+        unit[i] = 0.0
+        for j in range(n):
+            out[j, i] = column[j]
     return out
