@@ -121,11 +121,9 @@ def _mesh(sequence: datasets.RgbdSequence, trajectory: Trajectory, out: Path, co
 
 
 def make_odometry(config: Config) -> Odometry:
-    """The method of this package, its kernels compiled."""
+    """The method of this package."""
     from .id_rgbdo import IdRgbdo
-    from .warmup import warm_up
 
-    warm_up(IdRgbdo)
     return IdRgbdo(config)
 
 

@@ -23,6 +23,7 @@ from .selection import point_bits, select_points
 from .tracking import RATE, Tracked, kernel_noise, motion_information, predict, turn_rate, with_blur
 from .trajectory import Trajectory
 from .verification import LOST_BELOW, WEAK_BELOW, align, displacement, unsure
+from .warmup import warm_up
 from .window import Window
 
 Array = NDArray[np.float64]
@@ -38,12 +39,15 @@ class IdRgbdo:
 
     name = "id-rgbdo"
 
-    def __init__(self, config: Config | None = None) -> None:
+    def __init__(self, config: Config | None = None, *, compile_ahead: bool = True) -> None:
+        """compile_ahead: compile the kernels now if they are not in the cache (seconds, with a notice; see warmup)."""
         self.config = config or Config()
         configfile.check(self.config)
         self.noise = kernel_noise(self.config.noise)
         self.backend = backend_named(self.config.backend)
         self.reset()
+        if compile_ahead and self.config.backend == "fused":
+            warm_up(lambda: IdRgbdo(compile_ahead=False))
 
     def reset(self, T_world_cam: Tensor | None = None) -> None:
         """Forget everything; the next frame gets the pose T_world_cam (identity by default)."""

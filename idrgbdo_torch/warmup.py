@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import logging
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
+from itertools import islice
 
 import cv2
 import numpy as np
@@ -11,9 +15,13 @@ import torch
 from numba.core.event import Event, Listener, install_listener
 
 from .camera import Pinhole
-from .frame import RgbdFrame
+from .config import Config
+from .frame import LEVELS, Keyframe, RgbdFrame, prepare
 from .kernels.alignment import align
+from .kernels.model import PATTERN_U, Points
 from .odometry import Odometry
+from .tracking import kernel_noise
+from .window import Window
 
 NOTICE = "compiling the kernels, some 15 s, once; they are kept for later processes"
 FRAMES = 12
@@ -32,25 +40,60 @@ def warm_up(make: Callable[[], Odometry]) -> None:
     if align.signatures:
         return
     odometry = make()
-    with install_listener("numba:compile", Notice()):
-        for frame in tiny_film():
+    notice = Notice()
+    with install_listener("numba:compile", notice):
+        for number, frame in enumerate(tiny_film()):
+            if number == 2:  # about to need the window
+                notice.wait()
             odometry.track(frame)
 
 
+def compile_window() -> None:
+    """Compile what only the window needs; for a second process, beside the one that compiles the rest."""
+    config = Config()
+    window = Window(config, kernel_noise(config.noise))
+    none = np.zeros(0)
+    for frame in islice(tiny_film(), 2):
+        patch = np.zeros((LEVELS, 0, len(PATTERN_U)), np.float32)
+        points = Points(np.zeros((0, 2)), none, none, patch, np.zeros((*patch.shape, 2), np.float32))
+        keyframe = Keyframe(prepare(frame), points, none, none, none, none, np.zeros(0, np.int64))
+        window.add(keyframe, np.eye(4), np.zeros(2), np.zeros(0, np.int64))
+    window.optimise()
+
+
 class Notice(Listener):  # type: ignore[misc]  # numba has no types
-    """Logs once that kernels are compiled."""
+    """Says once that kernels are compiled, and has the window's compiled by a second process meanwhile.
+
+    numba compiles one function at a time in a process; the window's take a third of the time.
+    """
 
     def __init__(self) -> None:
         self._said = False
+        self._other: subprocess.Popen[bytes] | None = None
 
     def on_start(self, event: Event) -> None:
         """A function that is not in the cache."""
-        if not self._said:
-            self._said = True
-            log.warning(NOTICE)
+        if self._said:
+            return
+        self._said = True
+        log.warning(NOTICE)
+        if (os.cpu_count() or 1) > 1:
+            script = "from idrgbdo_torch.warmup import compile_window; compile_window()"
+            # if it fails, its share is compiled here after all
+            self._other = subprocess.Popen(
+                [sys.executable, "-c", script],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
 
     def on_end(self, event: Event) -> None:
         """It is compiled."""
+
+    def wait(self) -> None:
+        """Until the second process is done."""
+        if self._other is not None:
+            self._other.wait()
 
 
 def tiny_film() -> Iterator[RgbdFrame]:

@@ -19,7 +19,6 @@ FLOORS = (
     {"se3", "camera", "image", "information", "solver", "kernels", "configfile", "open3d_loader"},  # mathematics
     {"frame", "trajectory", "config"},  # things
     {"odometry", "methods"},
-    {"warmup"},
     {"photometric", "points", "marginalization"},  # measurement
     {"batched"},
     {"alignment"},
@@ -27,7 +26,7 @@ FLOORS = (
     {"backends"},
     {"selection", "tracking", "keyframe"},  # decisions
     {"candidates", "window", "mapping", "mesh", "informative"},
-    {"verification"},
+    {"verification", "warmup"},
     {"id_rgbdo"},  # system
     {"datasets", "synthetic", "evaluation", "figures", "download"},  # world
     {"runfolder", "source", "checkpoint", "live"},

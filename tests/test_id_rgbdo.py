@@ -238,7 +238,7 @@ def test_every_option_works(desk: Film, name: str) -> None:
     assert Status.LOST not in done.statuses and done.statuses.count(Status.WEAK) <= 2
     assert evaluate(odometry.trajectory(), desk.groundtruth).ate.rmse_m < limit
     keyframes = sum(record.result.keyframe for record in done.records)
-    assert (keyframes == 1) == (name == "one keyframe")
+    assert keyframes == 1 if name == "one keyframe" else keyframes > 1 or len(frames) < 30
     assert keyframes >= 10 or name != "many keyframes"
 
 

@@ -92,7 +92,7 @@ modules = [importlib.import_module(f"{kernels.__name__}.{m.name}") for m in pkgu
 def variants():
     return {f"{m.__name__}.{k}": len(v.signatures) for m in modules for k, v in vars(m).items() if hasattr(v, "stats")}
 
-warm_up(IdRgbdo)
+warm_up(lambda: IdRgbdo(compile_ahead=False))
 before = variants()
 film = list(RenderedSequence(SynthConfig(frames=12, width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5)))
 config = Config()

@@ -142,8 +142,8 @@ def align(
             affine_centre = affine.copy()
     # the information and the residuals at the accepted pose
     energy, seen, kept = linearise(
-        images[level], depth, cams[level], level, points, index_fine, points.patch.shape[2], T, affine, scale, noise.outlier, noise,
-        H, b, rms
+        images[level], depth, cams[level], level, points, index_fine, points.patch.shape[2], T, affine, scale,
+        noise.outlier, noise, H, b, rms
     )  # fmt: skip
     for k in range(2):
         for j in range(2):

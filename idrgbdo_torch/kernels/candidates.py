@@ -231,7 +231,10 @@ def sample_patches(images, uv, index, first, end, patch, gradient):
 def first_of_cells(cells, order, count):
     """At most count of the points in order: the first of each cell (N,), then the rest."""
     taken = np.zeros(cells.shape[0], dtype=np.bool_)
-    seen = np.zeros(cells.max() + 1, dtype=np.bool_)
+    last = 0
+    for i in range(cells.shape[0]):
+        last = max(last, cells[i])
+    seen = np.zeros(last + 1, dtype=np.bool_)
     left = count
     for i in order:
         if left > 0 and not seen[cells[i]]:

@@ -13,9 +13,7 @@ STARTS = {
     "import idrgbdo_torch": "import idrgbdo_torch",
     "import torch": "import torch",
     "import IdRgbdo": "from idrgbdo_torch import IdRgbdo",
-    "import IdRgbdo, load the kernels": (
-        "from idrgbdo_torch import IdRgbdo; from idrgbdo_torch.warmup import warm_up; warm_up(IdRgbdo)"
-    ),
+    "import IdRgbdo, load the kernels": ("from idrgbdo_torch import IdRgbdo; IdRgbdo()"),
     "idrgbdo --help": "import sys; sys.argv[1:] = ['--help']; from idrgbdo_torch.cli import main; sys.exit(main())",
 }
 
