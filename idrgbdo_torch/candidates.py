@@ -23,6 +23,7 @@ THRESHOLD_OFFSET = 7.0  # gray levels above the region's median gradient (DSO)
 CANNY = (50, 200)  # gray levels (RGBDTAM)
 PLANE_RADIUS = 3  # px, neighbourhood that a point's inverse depth is fitted to
 BORDER = 4  # px, room for the patch and its gradients
+WITNESSES = 256  # points that a pose is verified with
 EVERYWHERE = 8  # px, side of a grid cell in mode "inf": as good as no grid, without patches on top of each other
 
 
@@ -32,16 +33,19 @@ def make_keyframe(frame: Frame, config: Config, rng: Generator) -> Keyframe:
     uv, inv_depth, tier = extract_candidates(frame, config, rng)
     camera = frame.camera
     coarse = spread_out(uv, config.tracking.points_coarse, camera.width, camera.height, computing)
+    witnesses = (
+        coarse if len(coarse) >= WITNESSES else spread_out(uv, WITNESSES, camera.width, camera.height, computing)
+    )
     levels, pixels = len(frame.images), len(PATTERN_U)
     patch = np.zeros((levels, len(uv), pixels), np.float32)
     gradient = np.zeros((levels, len(uv), pixels, 2), np.float32)
     computing.candidates.sample_patches(frame.images, uv, np.arange(len(uv)), 0, 1, patch, gradient)
-    computing.candidates.sample_patches(frame.images, uv, coarse, 1, levels, patch, gradient)
+    computing.candidates.sample_patches(frame.images, uv, np.union1d(coarse, witnesses), 1, levels, patch, gradient)
     radius = np.hypot(uv[:, 0] - camera.cx, uv[:, 1] - camera.cy)
     radius /= max(radius.max(initial=0.0), 1.0)
     variance = np.full(len(uv), inverse_depth_sigma(config) ** 2)
     points = Points(uv, inv_depth, variance, patch, gradient)
-    return Keyframe(frame, points, inv_depth, variance, radius, tier, coarse)
+    return Keyframe(frame, points, inv_depth, variance, radius, tier, coarse, witnesses)
 
 
 def all_patches(keyframe: Keyframe, backend: Backend = FUSED) -> Keyframe:

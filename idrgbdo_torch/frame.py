@@ -92,9 +92,10 @@ class Keyframe:
     """A frame with its candidate points (struct of arrays); its pose lives in the window."""
 
     frame: Frame
-    points: Points  # inverse depths as refined so far; patches of coarse levels only where `coarse` says
+    points: Points  # inverse depths as refined so far; patches of coarse levels only for coarse and witnesses
     measured: Image  # (N,) 1/m, the sensor's own inverse depths
     measured_variance: Image  # (N,) (1/m)^2
     radius: Image  # (N,) distance to the principal point over the largest one
     tier: Image  # (N,) 2 Canny edge, 1 above the regional threshold, 0 weaker
-    coarse: Image  # (M,) indices spread over the image: coarse levels and verification
+    coarse: Image  # (M,) indices spread over the image, for the coarse levels
+    witnesses: Image  # (W,) the same for verification, which takes more than a few

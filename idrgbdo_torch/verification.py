@@ -21,6 +21,7 @@ VERIFIED_LEVEL = 1
 VERIFIED_GRAY = 12.0  # gray levels, largest residual of a point that agrees
 GAIN_LIMIT = 1.0  # of the logarithm: with no contrast left, a black or a white image would explain everything
 QUICK_LEVELS = 3  # of the pyramid, for a frame that is where it was expected
+QUICK_POINTS = 128  # coarse points that it takes; with fewer the whole patches cost little
 QUICK_STRIDE = 2  # of the coarse points, every second one
 QUICK_PIXELS = 1  # of a coarse point's patch, likewise
 EXPECTED_PX = 2.0  # mean distance in the image between the predicted and the measured pose of such a frame
@@ -65,10 +66,10 @@ def unsure(entropies: Array) -> str:
 
 def verify(frame: Frame, keyframe: Keyframe, tracked: Tracked, noise: Noise, backend: Backend = FUSED) -> Verdict:
     """Hold a pose against all the spread-out points of the keyframe."""
-    coarse = keyframe.coarse
+    witnesses = keyframe.witnesses
     seen, bright, with_depth, near = backend.agreement.verify(
         frame.images[VERIFIED_LEVEL], frame.depth, keyframe.frame.intrinsics[VERIFIED_LEVEL], VERIFIED_LEVEL,
-        keyframe.points, keyframe.points.patch[VERIFIED_LEVEL], coarse, tracked.T_frame_kf, tracked.affine, noise,
+        keyframe.points, keyframe.points.patch[VERIFIED_LEVEL], witnesses, tracked.T_frame_kf, tracked.affine, noise,
         VERIFIED_GRAY,
     )  # fmt: skip
     if not (np.isfinite(tracked.T_frame_kf).all() and tracked.points >= 6):
@@ -76,7 +77,7 @@ def verify(frame: Frame, keyframe: Keyframe, tracked: Tracked, noise: Noise, bac
     if abs(tracked.affine[0]) > GAIN_LIMIT:
         bright = 0
     few = 0 < with_depth < 12  # a frame with little depth is judged by its brightness alone, one with none is broken
-    return Verdict(seen / max(len(coarse), 1), bright / max(seen, 1), 1.0 if few else near / max(with_depth, 1))
+    return Verdict(seen / max(len(witnesses), 1), bright / max(seen, 1), 1.0 if few else near / max(with_depth, 1))
 
 
 def align(
@@ -89,7 +90,7 @@ def align(
     before was from its guess; the last value is how far this one is. Cameras move smoothly, so a frame after an
     expected one starts within reach of few coarse pixels; what comes out of it must fit, and be where expected.
     """
-    if surprise_px < EXPECTED_PX:
+    if surprise_px < EXPECTED_PX and len(keyframe.coarse) >= QUICK_POINTS:
         few = np.ascontiguousarray(keyframe.coarse[::QUICK_STRIDE])
         tracked = track_frame(
             frame, keyframe, guess, affine, index, few, prior, noise, min(levels, QUICK_LEVELS), QUICK_PIXELS, backend

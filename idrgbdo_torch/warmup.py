@@ -52,12 +52,12 @@ def compile_window() -> None:
     """Compile what only the window needs; for a second process, beside the one that compiles the rest."""
     config = Config()
     window = Window(config, kernel_noise(config.noise))
-    none = np.zeros(0)
+    none, no_index = np.zeros(0), np.zeros(0, np.int64)
     for frame in islice(tiny_film(), 2):
         patch = np.zeros((LEVELS, 0, len(PATTERN_U)), np.float32)
         points = Points(np.zeros((0, 2)), none, none, patch, np.zeros((*patch.shape, 2), np.float32))
-        keyframe = Keyframe(prepare(frame), points, none, none, none, none, np.zeros(0, np.int64))
-        window.add(keyframe, np.eye(4), np.zeros(2), np.zeros(0, np.int64))
+        keyframe = Keyframe(prepare(frame), points, none, none, none, none, no_index, no_index)
+        window.add(keyframe, np.eye(4), np.zeros(2), no_index)
     window.optimise()
 
 
