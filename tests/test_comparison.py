@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from comparison_methods import METHODS, other_settings
-from conftest import write_recording
+from recordings import write_recording
 
 from idrgbdo_torch.cli import main
 from idrgbdo_torch.comparison import Comparison, External, Outcome, Source, compare, parse_external

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import torch
 from comparison_methods import METHODS
-from conftest import write_recording
+from recordings import write_recording
 
 from idrgbdo_torch.comparison import Comparison, External, Source, compare
 from idrgbdo_torch.datasets import open_sequence

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from conftest import ROOT
+from recordings import ROOT
 from rendered import Film
 from test_readme import blocks
 
