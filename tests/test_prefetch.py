@@ -79,7 +79,9 @@ def test_an_error_of_the_reader_ends_the_threads() -> None:
 
 
 SCRIPT = """
+import signal
 import time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever runs the tests may have it ignored
 from itertools import count
 from idrgbdo_torch.prefetch import prefetch
 items = prefetch(lambda number: time.sleep(0.01) or number, count(), threads=2)

@@ -71,7 +71,7 @@ def test_a_process_that_dies_takes_no_other_task_with_it(tmp_path: Path, log: Pa
     results = sweep(square, jobs(log, 6, job1="kill once", job3="kill"), tmp_path / "r.jsonl", TWO)
     assert squares(results) == {"job0": 0, "job1": 1, "job2": 4, "job3": None, "job4": 16, "job5": 25}
     assert "error" in results["job3"]
-    assert calls_of(log)[3] == 3
+    assert calls_of(log)[3] in (2, 3)  # it may have waited beside the one that died first
 
 
 @pytest.fixture(scope="module")

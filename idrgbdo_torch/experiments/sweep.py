@@ -79,23 +79,26 @@ def run_tasks(
 ) -> None:
     """Call function(task) for every task on the workers, and on_result(key, result) as each arrives, here.
 
-    The tasks start in their order. Where a local process dies, a new pool takes over what it had.
+    The tasks start in their order. Where a local process dies, what was running is run again at the end, each task
+    alone, so that the one that kills takes no other with it.
     """
     left = deque(tasks)
+    suspects: deque[str] = deque()  # were running when a process died
     tries = dict.fromkeys(tasks, 0)
     kills = dict.fromkeys(tasks, 0)
     begin, done, failed = time.monotonic(), 0, 0
-    while left:
+    while left or suspects:
         with _executor(workers) as (executor, capacity):
             running: dict[Future[Result], str] = {}
             broken = False
-            while running or (left and not broken):
-                while left and not broken and len(running) < capacity:
-                    key = left.popleft()
+            while running or ((left or suspects) and not broken):
+                while not broken and ((left and len(running) < capacity) or (suspects and not running)):
+                    queue = left or suspects
+                    key = queue.popleft()
                     try:
                         running[executor.submit(function, tasks[key])] = key
                     except BrokenExecutor:
-                        left.appendleft(key)
+                        queue.appendleft(key)
                         broken = True
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     key = running.pop(future)
@@ -104,7 +107,7 @@ def run_tasks(
                         broken = True
                         kills[key] += 1
                         if kills[key] < KILLS:
-                            left.append(key)
+                            suspects.append(key)
                             continue
                     elif error is not None and tries[key] < RETRIES:
                         tries[key] += 1
