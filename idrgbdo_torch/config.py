@@ -37,7 +37,7 @@ class SelectionConfig:
 
     mode: Mode = "inf+grid"
     points: Count = 24
-    per_frame: bool = True  # choose anew for every frame among those the predicted pose sees, or once a keyframe
+    per_frame: bool = True  # choose anew when the view has changed, among those in view, or once a keyframe
     objective: Literal["bits", "paper"] = "bits"  # Eq. 18 in bits with a weighted spread, or as printed
     candidates: Count = 600  # kept per keyframe, but at least four times the points
     margin: NonNegative = 20.0  # px inside the image

@@ -31,22 +31,32 @@ def dot(a, b):
 
 
 @kernel
-def solve_spd(A, b):
-    """(ok, x) of A x = b by Cholesky; not ok where A is not positive definite or not finite."""
+def factor(A, least):
+    """(ok, L) with L L^T = A (n, n); not ok where a pivot is not above least, or not finite."""
     n = A.shape[0]
     L = np.zeros((n, n))
-    x = np.zeros(n)
     for i in range(n):
         for j in range(i + 1):
             s = A[i, j]
             for k in range(j):
                 s -= L[i, k] * L[j, k]
             if i == j:
-                if not (s > 0.0 and isfinite(s)):
-                    return False, x
+                if not (s > least * least and isfinite(s)):
+                    return False, L
                 L[i, i] = sqrt(s)
             else:
                 L[i, j] = s / L[j, j]
+    return True, L
+
+
+@kernel
+def solve_spd(A, b):
+    """(ok, x) of A x = b by Cholesky; not ok where A is not positive definite or not finite."""
+    n = A.shape[0]
+    x = np.zeros(n)
+    ok, L = factor(A, 0.0)
+    if not ok:
+        return False, x
     for i in range(n):
         s = b[i]
         for k in range(i):

@@ -7,27 +7,9 @@ from math import log, sqrt
 import numpy as np
 
 from .compiled import kernel
+from .linear import factor
 
 SINGULAR = 1e-6  # pivot of a matrix with unit diagonal under which it counts as singular
-
-
-@kernel
-def factor(A, least):
-    """(ok, L) with L L^T = A (n, n); not ok where a pivot is not above least."""
-    n = A.shape[0]
-    L = np.zeros((n, n))
-    for i in range(n):
-        for j in range(i + 1):
-            s = A[i, j]
-            for k in range(j):
-                s -= L[i, k] * L[j, k]
-            if i == j:
-                if not s > least * least:
-                    return False, L
-                L[i, i] = sqrt(s)
-            else:
-                L[i, j] = s / L[j, j]
-    return True, L
 
 
 @kernel
