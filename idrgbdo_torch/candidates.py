@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .backends import FUSED, Backend, backend_named
 from .config import Config
 from .frame import Frame, Keyframe
-from .kernels.model import PATTERN_U, Points
+from .kernels.model import Points
 from .selection import grid_cells
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ def make_keyframe(frame: Frame, config: Config, rng: Generator) -> Keyframe:
     witnesses = (
         coarse if len(coarse) >= WITNESSES else spread_out(uv, WITNESSES, camera.width, camera.height, computing)
     )
-    levels, pixels = len(frame.images), len(PATTERN_U)
+    levels, pixels = len(frame.images), config.tracking.patch
     patch = np.zeros((levels, len(uv), pixels), np.float32)
     gradient = np.zeros((levels, len(uv), pixels, 2), np.float32)
     computing.candidates.sample_patches(frame.images, uv, np.arange(len(uv)), 0, 1, patch, gradient)

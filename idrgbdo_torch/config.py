@@ -52,6 +52,7 @@ class TrackingConfig:
 
     levels: Annotated[int, Bounds(1, 6)] = 4
     points_coarse: Count = 256  # on all levels but the finest
+    patch: Annotated[int, Bounds(1, 8)] = 8  # pixels a point: the whole pattern of DSO, 1 the centre alone
     sigma_velocity: Positive = 0.6  # m/s, change of velocity within 1/30 s: the motion prior, Eq. 19
     sigma_turn: Positive = 0.9  # rad/s, the same of the rotation
 

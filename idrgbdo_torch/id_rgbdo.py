@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 FEWEST_CANDIDATES = 16  # that make a keyframe
-SAME_VIEW_PX = 6.0  # mean distance in the image between two guesses that the same points serve
+SAME_VIEW_PX = 8.0  # mean distance in the image between two guesses that the same points serve
 PATIENCE = 3  # lost frames in a row before a new segment starts
 
 
@@ -43,7 +43,7 @@ class IdRgbdo:
         """compile_ahead: compile the kernels now if they are not in the cache (seconds, with a notice; see warmup)."""
         self.config = config or Config()
         configfile.check(self.config)
-        self.noise = kernel_noise(self.config.noise)
+        self.noise = kernel_noise(self.config.noise, self.config.tracking.patch)
         self.backend = backend_named(self.config.backend)
         self.reset()
         if compile_ahead and self.config.backend == "fused":

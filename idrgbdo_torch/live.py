@@ -6,6 +6,7 @@ import ctypes
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -123,12 +124,8 @@ class LiveSequence:
         color, depth = raw_pair(self._first[1])
         scale = depth_scale or sensor.calibration.depth_scale or sensor.depth_scale
         self._builder = FrameBuilder(sensor.calibration, color, scale)
+        self.camera: Pinhole = self._builder.camera
         self.warnings = depth_warnings(depth, scale)
-
-    @property
-    def camera(self) -> Pinhole:
-        """The undistorted pinhole of all frames."""
-        return self._builder.camera
 
     @property
     def recognised(self) -> str:
@@ -145,10 +142,7 @@ class LiveSequence:
             while shot is not None and len(self.timestamps) < self._max_frames:
                 timestamp, image = shot
                 self.timestamps.append(timestamp)
-                try:
-                    yield self._builder.frame(timestamp, *raw_pair(image))
-                except IdRgbdoError as error:
-                    yield BrokenFrame(timestamp, str(error))
+                yield self._builder.frame_or_reason(timestamp, partial(raw_pair, image))
                 shot = self._capture() if len(self.timestamps) < self._max_frames else None
         finally:
             self._sensor.stop()

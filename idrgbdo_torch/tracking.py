@@ -41,9 +41,9 @@ def motion_information(config: Config, dt: float) -> Array:
     return np.diag([1.0 / sigma_v**2] * 3 + [1.0 / sigma_w**2] * 3)
 
 
-def kernel_noise(config: NoiseConfig) -> Noise:
-    """NoiseConfig as the plain numbers that the kernels read."""
-    shared = float(PIXELS)
+def kernel_noise(config: NoiseConfig, patch: int = PIXELS) -> Noise:
+    """NoiseConfig as the plain numbers that the kernels read, for points of so many pixels."""
+    shared = float(patch)
     return Noise(
         var_intensity=config.sigma_intensity**2,
         var_pixel=shared * config.sigma_pixel**2,
@@ -94,12 +94,13 @@ def predict(T_a: Array, T_b: Array, ratio: float) -> Array:
 
 def track_frame(
     frame: Frame, keyframe: Keyframe, T_guess: Array, affine: Array, index: Index, coarse: Index, prior: Array,
-    noise: Noise, levels: int, pixels: int = PIXELS, backend: Backend = FUSED,
+    noise: Noise, levels: int, pixels: int | None = None, backend: Backend = FUSED,
 ) -> Tracked:  # fmt: skip
     """Align a frame to a keyframe from a guess of T_frame_kf, with the motion prior's information (6, 6) about it.
 
-    index: the points of the finest level; coarse: those of the others, with so many pixels of their patches.
+    index: the points of the finest level; coarse: those of the others, with so many pixels of their patches or all.
     """
+    pixels = keyframe.points.patch.shape[2] if pixels is None else pixels
     T, affine, H, rms, _scale, iterations, _seen, kept, _change = backend.alignment.align(
         frame.images, frame.depth, keyframe.frame.intrinsics, keyframe.points, coarse, pixels, index,
         T_guess, affine, prior, inverse(T_guess), AFFINE_PRIOR, noise, STEPS[:levels],

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from .backends import FUSED, Backend
 from .candidates import all_patches
 from .frame import LEVELS, Frame, Keyframe
-from .kernels.choice import PIXELS
 from .kernels.model import Noise
 from .tracking import Tracked, track_frame
 
@@ -99,7 +98,7 @@ def align(
         surprise_px = displacement(keyframe, guess, tracked.T_frame_kf, backend)
         if surprise_px < EXPECTED_PX and not verdict.doubt(SURE_BELOW):
             return tracked, verdict, surprise_px
-    tracked = track_frame(frame, keyframe, guess, affine, index, keyframe.coarse, prior, noise, levels, PIXELS, backend)
+    tracked = track_frame(frame, keyframe, guess, affine, index, keyframe.coarse, prior, noise, levels, None, backend)
     verdict = verify(frame, keyframe, tracked, noise, backend)
     if verdict.doubt(WEAK_BELOW):
         again, second = recover(frame, keyframe, [guess, resting], affine, index, noise, backend)
@@ -127,7 +126,7 @@ def recover(
     keyframe = all_patches(keyframe, backend)
     best: tuple[Tracked, Verdict] | None = None
     for guess in guesses:
-        tracked = track_frame(frame, keyframe, guess, affine, index, everyone, free, noise, LEVELS, PIXELS, backend)
+        tracked = track_frame(frame, keyframe, guess, affine, index, everyone, free, noise, LEVELS, None, backend)
         verdict = verify(frame, keyframe, tracked, noise, backend)
         if best is None or verdict.score > best[1].score:
             best = (tracked, verdict)

@@ -51,7 +51,7 @@ def warm_up(make: Callable[[], Odometry]) -> None:
 def compile_window() -> None:
     """Compile what only the window needs; for a second process, beside the one that compiles the rest."""
     config = Config()
-    window = Window(config, kernel_noise(config.noise))
+    window = Window(config, kernel_noise(config.noise, config.tracking.patch))
     none, no_index = np.zeros(0), np.zeros(0, np.int64)
     for frame in islice(tiny_film(), 2):
         patch = np.zeros((LEVELS, 0, len(PATTERN_U)), np.float32)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from .backends import FUSED, Backend, backend_named
 from .config import Config
 from .frame import Keyframe
-from .kernels import model
 from .kernels.bundle import WindowPoints
 from .kernels.lie import inverse, log_se3, retract
 from .kernels.linear import solve_spd
@@ -94,7 +93,7 @@ class Window:
 
     def points(self) -> WindowPoints:
         """The window points of all keyframes as padded arrays."""
-        K, N, P = len(self.keyframes), self.config.window_points, model.PATTERN_U.shape[0]
+        K, N, P = len(self.keyframes), self.config.window_points, self.config.tracking.patch
         out = WindowPoints(
             np.zeros((K, N, 2)), np.zeros((K, N, P), np.float32), np.zeros((K, N, P, 2), np.float32),
             np.ones((K, N)), np.ones((K, N)), np.zeros((K, N), np.bool_),

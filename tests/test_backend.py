@@ -304,3 +304,19 @@ def test_recovery_is_the_same(sequence: Film) -> None:
     (fused, verdict), (mine, same) = found
     close(mine.T_frame_kf, fused.T_frame_kf, 1e-6)
     assert same == verdict and not verdict.doubt(WEAK_BELOW)
+
+
+@pytest.mark.parametrize(("patch", "limit"), [(1, 1e-4), (5, 1e-6)])  # m; one pixel a point leaves much to rounding
+def test_smaller_patches_are_smaller_everywhere_and_the_same(sequence: Film, patch: int, limit: float) -> None:
+    """`tracking.patch` reaches candidates, window and noise of both backends."""
+    frames = sequence.frames[:16]
+    small = replace(Config(), tracking=replace(Config().tracking, patch=patch))
+    odometry = IdRgbdo(small)
+    fused, mine = run(odometry, frames), run(IdRgbdo(replace(small, backend="torch")), frames)
+    assert sum(record.result.keyframe for record in fused.records) >= 2
+    off = (fused.trajectory().positions - mine.trajectory().positions).norm(dim=1)
+    assert off.max() < limit
+    assert odometry.keyframe is not None and odometry.keyframe.points.patch.shape[2] == patch
+    assert odometry.window.points().patch.shape[2] == patch and odometry.noise.shared == patch
+    whole = run(IdRgbdo(), frames).trajectory().positions
+    assert 1e-5 < float((fused.trajectory().positions - whole).norm(dim=1).max()) < 0.01

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import cv2
@@ -11,12 +12,13 @@ from numpy.typing import NDArray
 
 from ..camera import Pinhole
 from ..errors import IdRgbdoError
-from ..frame import RgbdFrame
+from ..frame import BrokenFrame, RgbdFrame
 from .calibration import Calibration
 from .rectify import Registration, Undistortion
 
 USUAL_DEPTH_SCALES = (5000.0, 1000.0, 6553.5)  # TUM, millimetres, Replica
 PLAUSIBLE_MEDIAN_M = (0.5, 4.5)  # of what a hand-held depth camera looks at
+RawPair = tuple[NDArray[np.uint8], NDArray[Any]]  # (H, W, 3) blue green red, (h, w) uint16 or float32 raw depth
 SATURATED = 65535  # some cameras write it for "no depth"
 
 
@@ -62,6 +64,13 @@ class FrameBuilder:
             camera=self.camera,
             color=torch.from_numpy(cv2.cvtColor(color, cv2.COLOR_BGR2RGB)),  # (H, W, 3)
         )
+
+    def frame_or_reason(self, timestamp: float, read: Callable[[], RawPair]) -> RgbdFrame | BrokenFrame:
+        """The frame of what `read` gives; where that or its size is wrong, a BrokenFrame that says why."""
+        try:
+            return self.frame(timestamp, *read())
+        except IdRgbdoError as error:
+            return BrokenFrame(timestamp, str(error))
 
 
 def metres(depth: NDArray[Any], depth_scale: float) -> NDArray[np.float32]:

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from ..errors import IdRgbdoError
 from ..trajectory import read_tum
+from .builder import RawPair
 from .calibration import ICL_NUIM, Calibration, find_calibration
 from .images import read_color
 from .pairing import FPS, numbered, reader
 from .poses import Matrix, reference
-from .recording import Options, RawPair, Recording
+from .recording import Options, Recording
 from .tum import DEPTH_SCALE, read_associations
 
 M = np.diag([1.0, -1.0, 1.0, 1.0])

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from ..errors import IdRgbdoError
 from ..open3d_loader import load_open3d
+from .builder import RawPair
 from .calibration import Calibration, find_calibration
-from .recording import RawPair
 
 
 def raw_pair(image: Any) -> RawPair:

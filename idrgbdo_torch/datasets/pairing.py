@@ -11,8 +11,8 @@ import torch
 
 from ..errors import IdRgbdoError
 from ..trajectory import associate, nearest
+from .builder import RawPair
 from .images import read_color, read_depth
-from .recording import RawPair
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".npy"}
 FPS = 30.0  # where nothing tells the times

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -63,12 +64,8 @@ class RealSenseRecording:
         color, depth = raw_pair(first[1])
         scale = options.depth_scale or calibration.depth_scale or metadata.depth_scale
         self._builder = FrameBuilder(calibration, color, scale)
+        self.camera: Pinhole = self._builder.camera
         self.warnings = depth_warnings(depth, scale)
-
-    @property
-    def camera(self) -> Pinhole:
-        """The undistorted pinhole of all frames."""
-        return self._builder.camera
 
     @property
     def recognised(self) -> str:
@@ -107,10 +104,7 @@ class RealSenseRecording:
         timestamp, image = played
         self.timestamps[self._read] = timestamp
         self._read += 1
-        try:
-            return self._builder.frame(timestamp, *raw_pair(image))
-        except IdRgbdoError as error:
-            return BrokenFrame(timestamp, str(error))
+        return self._builder.frame_or_reason(timestamp, partial(raw_pair, image))
 
     def _skip_to(self, number: int) -> tuple[float, Any] | None:
         """Time and image of frame `number`; None where the recording ends before."""

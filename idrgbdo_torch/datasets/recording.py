@@ -4,23 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import Pinhole
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from ..prefetch import prefetch
 from ..trajectory import Trajectory
-from .builder import FrameBuilder, depth_warnings
+from .builder import FrameBuilder, RawPair, depth_warnings
 from .calibration import Calibration
 
 LOOK_AT = 30  # frames that may be broken before the first good one
-
-RawPair = tuple[NDArray[np.uint8], NDArray[Any]]  # (H, W, 3) blue green red, (h, w) uint16 or float32 raw depth
 
 
 @dataclass(frozen=True)
@@ -90,13 +87,9 @@ class RecordedSequence:
         stated = options.depth_scale or recording.calibration.depth_scale
         self.depth_scale = stated or (recording.depth_scale if depth.dtype == np.uint16 else 1.0)
         self._builder = FrameBuilder(recording.calibration, color, self.depth_scale)
+        self.camera: Pinhole = self._builder.camera
         self._builder.frame(0.0, color, depth)  # colour and depth must fit each other
         self.warnings = [*recording.warnings, *depth_warnings(depth, self.depth_scale)]
-
-    @property
-    def camera(self) -> Pinhole:
-        """The undistorted pinhole of all frames."""
-        return self._builder.camera
 
     @property
     def recognised(self) -> str:
@@ -119,11 +112,8 @@ class RecordedSequence:
 
     def read(self, index: int) -> RgbdFrame | BrokenFrame:
         """Frame number `index`; a BrokenFrame with the reason where a file is missing, damaged or of another size."""
-        timestamp = self.timestamps[index]
-        try:
-            return self._builder.frame(timestamp, *self._recording.read(self._chosen[index]))
-        except IdRgbdoError as error:
-            return BrokenFrame(timestamp, str(error))
+        number = self._chosen[index]
+        return self._builder.frame_or_reason(self.timestamps[index], partial(self._recording.read, number))
 
     def _first_pair(self) -> RawPair:
         """The images of the first frame that can be read. Raises the first frame's error where none can."""

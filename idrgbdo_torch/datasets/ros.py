@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import IdRgbdoError
+from .builder import RawPair
 from .calibration import Calibration, find_calibration
 from .pairing import pair_by_time
-from .recording import Options, RawPair, Recording
+from .recording import Options, Recording
 from .ros_images import color_image, depth_image
 
 if TYPE_CHECKING:

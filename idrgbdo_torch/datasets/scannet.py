@@ -13,11 +13,12 @@ import cv2
 import numpy as np
 
 from ..errors import IdRgbdoError
+from .builder import RawPair
 from .calibration import Calibration, DepthCamera, find_calibration, scaled
 from .images import read_color, read_depth
 from .pairing import FPS, numbered, pair_by_number
 from .poses import matrices, pose_files, reference
-from .recording import LOOK_AT, Options, RawPair, Recording
+from .recording import LOOK_AT, Options, Recording
 
 DEPTH_SCALE = 1000.0
 

@@ -40,7 +40,9 @@ def align(
     with torch.no_grad():
         found = descend(problems, known, sigma)
         T, affine = found.T_target_host, found.affine
-        system = linearise_pairs(fine, problems[0].target, T, affine, sigma, found.scale, sigma.outlier)
+        system = linearise_pairs(
+            fine, problems[0].target, T, affine, sigma, found.scale, sigma.outlier, problems[0].pixels
+        )
     H = system.H[0]
     H[6:, 6:] += found.prior.affine_information[0]
     return (
