@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 FEWEST_CANDIDATES = 16  # that make a keyframe
-SAME_VIEW_PX = 8.0  # mean distance in the image between two guesses that the same points serve
+SAME_VIEW_PX = 10.0  # mean distance in the image between two guesses that the same points serve
 PATIENCE = 3  # lost frames in a row before a new segment starts
 
 
@@ -63,8 +63,8 @@ class IdRgbdo:
         self.turn = np.zeros(3)  # rad/s, of the last frame
         self.keyframe_turn = np.zeros(3)  # and of the keyframe
         self.affine = np.zeros(2)
-        self.index = np.zeros(0, dtype=np.int64)  # the keyframe's points, where they are chosen only once
-        self.T_chosen: Array | None = None  # the guess of T_frame_kf that they were chosen for
+        self.index = np.zeros(0, dtype=np.int64)  # the points being tracked, among the keyframe's candidates
+        self.T_chosen = np.eye(4)  # the guess of T_frame_kf that they were chosen for
         self.entropies: list[Array] = []  # per degree of freedom, of the frames tracked since the keyframe
         self.lost_in_a_row = 0
         self.segment = 0
@@ -112,8 +112,7 @@ class IdRgbdo:
         """The points to track: chosen anew when the view has changed, or the keyframe's own."""
         if not self.config.selection.per_frame:
             return self.index
-        chosen = self.T_chosen
-        if chosen is not None and displacement(keyframe, chosen, T_frame_kf, self.backend) < SAME_VIEW_PX:
+        if displacement(keyframe, self.T_chosen, T_frame_kf, self.backend) < SAME_VIEW_PX:
             return self.index
         self.T_chosen = T_frame_kf
         self.index = self._select(keyframe, T_frame_kf, self.config.selection.points, prior, noise)
@@ -138,16 +137,16 @@ class IdRgbdo:
         self.keyframe_times.append(keyframe.frame.timestamp)
         self.clouds.append(NOTHING if self.config.window.enabled else keyframe_cloud(keyframe))
         prior = motion_information(self.config, 1.0 / 30.0)
-        if not self.config.selection.per_frame:
-            self.index = self._select(keyframe, np.eye(4), self.config.selection.points, prior, self.noise)
+        few, many = self.config.selection.points, self.config.window_points
+        self.T_chosen = np.eye(4)
+        self.index = self._select(keyframe, self.T_chosen, few, prior, self.noise)
         if self.config.window.enabled:
-            index = self._select(keyframe, np.eye(4), self.config.window_points, prior, self.noise)
+            index = self.index if many == few else self._select(keyframe, self.T_chosen, many, prior, self.noise)
             keyframe = self._refine(keyframe, index)
         self.clouds = condense(self.clouds, self.keyframe_poses, self.in_window)
         self.keyframe, self.T_kf_world, self.keyframe_turn = keyframe, self.T_cam_world, self.turn
         self.affine = np.zeros(2)
         self.entropies = []
-        self.T_chosen = None
 
     def _refine(self, keyframe: Keyframe, index: Index) -> Keyframe:
         """Add a keyframe to the window, optimise, shrink; the present pose and its velocity follow."""
