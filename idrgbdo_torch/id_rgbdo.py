@@ -30,7 +30,6 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 FEWEST_CANDIDATES = 16  # that make a keyframe
-SAME_VIEW_PX = 10.0  # mean distance in the image between two guesses that the same points serve
 PATIENCE = 3  # lost frames in a row before a new segment starts
 
 
@@ -109,10 +108,10 @@ class IdRgbdo:
         return result
 
     def _choose(self, keyframe: Keyframe, T_frame_kf: Array, prior: Array, noise: Noise) -> Index:
-        """The points to track: chosen anew when the view has changed, or the keyframe's own."""
+        """The points to track: chosen anew when the view has moved by the margin that kept them inside the image."""
         if not self.config.selection.per_frame:
             return self.index
-        if displacement(keyframe, self.T_chosen, T_frame_kf, self.backend) < SAME_VIEW_PX:
+        if displacement(keyframe, self.T_chosen, T_frame_kf, self.backend) < self.config.selection.margin:
             return self.index
         self.T_chosen = T_frame_kf
         self.index = self._select(keyframe, T_frame_kf, self.config.selection.points, prior, noise)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import e, pi
+from math import e, log2, pi
 
 import numpy as np
 import torch
@@ -50,7 +50,9 @@ def lost_certainty(entropy: Tensor, reference: Tensor, criterion: str) -> Tensor
 
 def wants_keyframe(history: list[Array], config: KeyframeConfig) -> bool:
     """Whether any degree of freedom has lost too much; history: entropies (6,) tracked since the keyframe."""
-    reference = np.sort(np.stack(history[:REFERENCE_FRAMES]), axis=0)[(len(history[:REFERENCE_FRAMES]) - 1) // 2]
+    first = np.array(history[:REFERENCE_FRAMES])
+    first.sort(axis=0)
+    reference = first[(len(first) - 1) // 2]  # the lower median
     if config.criterion == "bits":  # lost_certainty in numpy: this runs for every frame
         return bool((history[-1] - reference).max() > config.threshold_bits)
     lost = lost_certainty(torch.from_numpy(history[-1]), torch.from_numpy(reference), config.criterion)
@@ -60,6 +62,8 @@ def wants_keyframe(history: list[Array], config: KeyframeConfig) -> bool:
 def freedom_entropies(information: Array) -> Array:
     """freedom_entropies_bits of one (6, 6) matrix, for every frame: (6,)."""
     precision = information.diagonal()
+    if precision.min() > 0.0:
+        return np.asarray(0.5 * (log2(2.0 * pi * e) - np.log2(precision)))
     with np.errstate(divide="ignore", invalid="ignore"):
         bits = 0.5 * np.log2(2.0 * pi * e / precision)
     return np.where(precision > 0.0, bits, np.inf)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import dist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +39,9 @@ def motion_information(config: Config, dt: float) -> Array:
     growth = (RATE * dt) * dt
     sigma_v = config.tracking.sigma_velocity * growth
     sigma_w = config.tracking.sigma_turn * growth
-    return np.diag([1.0 / sigma_v**2] * 3 + [1.0 / sigma_w**2] * 3)
+    information = np.zeros((6, 6))
+    information.flat[::7] = (1.0 / sigma_v**2,) * 3 + (1.0 / sigma_w**2,) * 3
+    return information
 
 
 def kernel_noise(config: NoiseConfig, patch: int = PIXELS) -> Noise:
@@ -63,7 +66,7 @@ def with_blur(noise: Noise, config: NoiseConfig, focal: float, turn: Array, turn
 
     Both images are smeared along their own motion; an edge smeared differently seems to lie elsewhere.
     """
-    speed = focal * float(np.linalg.norm(turn - turn_kf)) / RATE  # px a frame
+    speed = focal * dist(turn, turn_kf) / RATE  # px a frame
     return noise._replace(var_pixel=noise.var_pixel + noise.shared * (config.blur * speed) ** 2)
 
 

@@ -130,7 +130,7 @@ def test_the_velocity_survives_the_refinement_of_the_pose(desk: Film) -> None:
     """The window moves the newest pose; the motion since the frame before stays the measured one."""
     odometry = IdRgbdo()
     keyframes = 0
-    for frame in desk.frames[:25]:
+    for frame in desk.frames:
         T_before_world, T_kf_world = (torch.from_numpy(T.copy()) for T in (odometry.T_cam_world, odometry.T_kf_world))
         result = odometry.track(frame)
         if result.keyframe and result.T_ref_cam is not None:
@@ -140,7 +140,7 @@ def test_the_velocity_survives_the_refinement_of_the_pose(desk: Film) -> None:
             torch.testing.assert_close(motion, measured, rtol=0, atol=1e-12)
             refined = se3.inverse(torch.from_numpy(odometry.T_cam_world))
             torch.testing.assert_close(result.T_world_cam, refined)
-    assert keyframes > 2
+    assert keyframes > 1
 
 
 def test_reset_forgets_everything_and_starts_where_it_is_told(plain: tuple[IdRgbdo, Run], desk: Film) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -224,7 +225,11 @@ def camera_file(film: Film, tmp_path: Path) -> Path:
     return path
 
 
-def test_an_azure_kinect_is_tracked(o3d: ModuleType, film: Film, camera_file: Path) -> None:
+def test_an_azure_kinect_is_tracked(
+    o3d: ModuleType, film: Film, camera_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ticks = count(START * 30)
+    monkeypatch.setattr(live.time, "time", lambda: next(ticks) / 30)  # as slowly as a camera gives its images
     sensor = StandInKinect(legacy_images(o3d, film))
     sequence = LiveSequence(AzureKinect(camera_file, sensor), max_frames=50)
     assert sensor.connected
