@@ -7,6 +7,7 @@ from math import exp, sqrt
 import numpy as np
 
 from .compiled import kernel
+from .projection import moved
 from .sampling import sample, sample_inverse_depth
 
 
@@ -29,9 +30,7 @@ def verify(image, depth, cam, level, points, patch, index, T, affine, noise, lim
         d = points.inv_depth[p]
         mx = ((points.uv[p, 0] + 0.5) * size - 0.5 - cx) / fx
         my = ((points.uv[p, 1] + 0.5) * size - 0.5 - cy) / fy
-        qx = T[0, 0] * mx + T[0, 1] * my + T[0, 2] + T[0, 3] * d
-        qy = T[1, 0] * mx + T[1, 1] * my + T[1, 2] + T[1, 3] * d
-        qz = T[2, 0] * mx + T[2, 1] * my + T[2, 2] + T[2, 3] * d
+        qx, qy, qz = moved(T, mx, my, d)
         if qz < 1e-3:
             continue
         u = fx * qx / qz + cx
@@ -62,14 +61,10 @@ def displacement(cam, points, index, T_a, T_b):
         d = points.inv_depth[p]
         mx = (points.uv[p, 0] - cx) / fx
         my = (points.uv[p, 1] - cy) / fy
-        za = T_a[2, 0] * mx + T_a[2, 1] * my + T_a[2, 2] + T_a[2, 3] * d
-        zb = T_b[2, 0] * mx + T_b[2, 1] * my + T_b[2, 2] + T_b[2, 3] * d
+        xa, ya, za = moved(T_a, mx, my, d)
+        xb, yb, zb = moved(T_b, mx, my, d)
         if za < 1e-3 or zb < 1e-3:
             continue
-        du = (T_a[0, 0] * mx + T_a[0, 1] * my + T_a[0, 2] + T_a[0, 3] * d) / za
-        du -= (T_b[0, 0] * mx + T_b[0, 1] * my + T_b[0, 2] + T_b[0, 3] * d) / zb
-        dv = (T_a[1, 0] * mx + T_a[1, 1] * my + T_a[1, 2] + T_a[1, 3] * d) / za
-        dv -= (T_b[1, 0] * mx + T_b[1, 1] * my + T_b[1, 2] + T_b[1, 3] * d) / zb
-        total += sqrt((fx * du) ** 2 + (fy * dv) ** 2)
+        total += sqrt((fx * (xa / za - xb / zb)) ** 2 + (fy * (ya / za - yb / zb)) ** 2)
         seen += 1
     return total / seen if seen > 0 else np.inf

@@ -11,6 +11,7 @@ from .compiled import kernel
 from .lie import adjoint, inverse
 from .linear import dot, multiply
 from .model import PATTERN_U, PATTERN_V, distortion_weight, photometric_variance
+from .projection import along_depth, depth_jacobian, distortion, moved, pose_jacobian
 from .sampling import sample, sample_inverse_depth
 
 
@@ -85,20 +86,14 @@ def linearise_window(
                     continue
                 mx = (points.uv[host, n, 0] - cx) / fx
                 my = (points.uv[host, n, 1] - cy) / fy
-                qx = T[0, 0] * mx + T[0, 1] * my + T[0, 2] + T[0, 3] * d
-                qy = T[1, 0] * mx + T[1, 1] * my + T[1, 2] + T[1, 3] * d
-                qz = T[2, 0] * mx + T[2, 1] * my + T[2, 2] + T[2, 3] * d
+                qx, qy, qz = moved(T, mx, my, d)
                 if qz < 1e-3:
                     continue
                 iz = 1.0 / qz
                 x = qx * iz
                 y = qy * iz
                 rho = d * iz
-                a00 = (T[0, 0] - x * T[2, 0]) * iz
-                a01 = (T[0, 1] - x * T[2, 1]) * iz * fx / fy
-                a10 = (T[1, 0] - y * T[2, 0]) * iz * fy / fx
-                a11 = (T[1, 1] - y * T[2, 1]) * iz
-                area = a00 * a11 - a01 * a10
+                a00, a01, a10, a11, area = distortion(T, x, y, iz, fx, fy)
                 if area <= 0.0:
                     continue
                 h = distortion_weight(area, noise.c_h)
@@ -164,27 +159,13 @@ def linearise_window(
                     continue
                 energy += e
                 # geometry at the linearisation point
-                qx0 = T0[0, 0] * mx + T0[0, 1] * my + T0[0, 2] + T0[0, 3] * d
-                qy0 = T0[1, 0] * mx + T0[1, 1] * my + T0[1, 2] + T0[1, 3] * d
-                qz0 = T0[2, 0] * mx + T0[2, 1] * my + T0[2, 2] + T0[2, 3] * d
+                qx0, qy0, qz0 = moved(T0, mx, my, d)
                 iz0 = 1.0 / max(qz0, 1e-3)
                 x0 = qx0 * iz0
                 y0 = qy0 * iz0
                 rho0 = d * iz0
-                J[0, 0] = fx * rho0
-                J[0, 1] = 0.0
-                J[0, 2] = -fx * rho0 * x0
-                J[0, 3] = -fx * x0 * y0
-                J[0, 4] = fx * (1.0 + x0 * x0)
-                J[0, 5] = -fx * y0
-                J[0, 6] = fx * (T0[0, 3] - x0 * T0[2, 3]) * iz0
-                J[1, 0] = 0.0
-                J[1, 1] = fy * rho0
-                J[1, 2] = -fy * rho0 * y0
-                J[1, 3] = -fy * (1.0 + y0 * y0)
-                J[1, 4] = fy * x0 * y0
-                J[1, 5] = fy * x0
-                J[1, 6] = fy * (T0[1, 3] - y0 * T0[2, 3]) * iz0
+                pose_jacobian(fx, fy, x0, y0, rho0, J)
+                J[0, 6], J[1, 6] = along_depth(T0, x0, y0, iz0, fx, fy)
                 gd0 = J[0, 6] * G00 + J[1, 6] * G01
                 gd1 = J[0, 6] * G01 + J[1, 6] * G11
                 for i in range(6):
@@ -219,12 +200,8 @@ def linearise_window(
                                 w *= huber / s
                             else:
                                 energy += s * s
-                            for i in range(7):
-                                Jz[i] = gu * J[0, i] + gv * J[1, i]
-                            Jz[2] += rho0 * rho0
-                            Jz[3] += rho0 * y0
-                            Jz[4] -= rho0 * x0
-                            Jz[6] -= iz0 * (1.0 - rho0 * T0[2, 3])
+                            depth_jacobian(gu, gv, x0, y0, rho0, J, Jz)
+                            Jz[6] = gu * J[0, 6] + gv * J[1, 6] - iz0 * (1.0 - rho0 * T0[2, 3])
                             for i in range(6):
                                 wj = w * Jz[i]
                                 for j in range(i, 6):

@@ -9,6 +9,7 @@ import numpy as np
 from .compiled import kernel
 from .linear import inverse_spd
 from .model import PATTERN_U, distortion_weight, photometric_variance
+from .projection import along_depth, distortion, moved, pose_jacobian
 
 CHUNK = 128  # points whose gains are computed together
 BLOCK = 32  # points that share a leader in the greedy choice
@@ -28,15 +29,13 @@ def whitened_rows(cam, width, height, margin, points, index, T, noise):
     A = np.zeros((n, 3, 6))
     seen = np.zeros(n, dtype=np.bool_)
     where = np.zeros((n, 2))
-    J = np.zeros((2, 6))
+    J = np.empty((2, 6))
     for m in range(n):
         p = index[m]
         d = points.inv_depth[p]
         mx = (points.uv[p, 0] - cx) / fx
         my = (points.uv[p, 1] - cy) / fy
-        qx = T[0, 0] * mx + T[0, 1] * my + T[0, 2] + T[0, 3] * d
-        qy = T[1, 0] * mx + T[1, 1] * my + T[1, 2] + T[1, 3] * d
-        qz = T[2, 0] * mx + T[2, 1] * my + T[2, 2] + T[2, 3] * d
+        qx, qy, qz = moved(T, mx, my, d)
         if qz < 1e-3:
             continue
         iz = 1.0 / qz
@@ -46,11 +45,7 @@ def whitened_rows(cam, width, height, margin, points, index, T, noise):
         v = fy * y + cy
         if not (u >= margin and v >= margin and u <= width - 1 - margin and v <= height - 1 - margin):
             continue
-        a00 = (T[0, 0] - x * T[2, 0]) * iz
-        a01 = (T[0, 1] - x * T[2, 1]) * iz * fx / fy
-        a10 = (T[1, 0] - y * T[2, 0]) * iz * fy / fx
-        a11 = (T[1, 1] - y * T[2, 1]) * iz
-        area = a00 * a11 - a01 * a10
+        area = distortion(T, x, y, iz, fx, fy)[4]
         if area <= 0.0:
             continue
         seen[m] = True
@@ -58,8 +53,7 @@ def whitened_rows(cam, width, height, margin, points, index, T, noise):
         where[m, 1] = v
         rho = d * iz
         h = distortion_weight(area, noise.c_h)
-        du_dd = fx * (T[0, 3] - x * T[2, 3]) * iz
-        dv_dd = fy * (T[1, 3] - y * T[2, 3]) * iz
+        du_dd, dv_dd = along_depth(T, x, y, iz, fx, fy)
         var_d = points.var_inv_depth[p]
         G00 = G01 = G11 = 0.0
         for k in range(pixels):
@@ -74,16 +68,7 @@ def whitened_rows(cam, width, height, margin, points, index, T, noise):
         L00 = sqrt(G00)
         L10 = G01 / L00 if L00 > 0.0 else 0.0
         L11 = sqrt(max(0.0, G11 - L10 * L10))
-        J[0, 0] = fx * rho
-        J[0, 2] = -fx * rho * x
-        J[0, 3] = -fx * x * y
-        J[0, 4] = fx * (1.0 + x * x)
-        J[0, 5] = -fx * y
-        J[1, 1] = fy * rho
-        J[1, 2] = -fy * rho * y
-        J[1, 3] = -fy * (1.0 + y * y)
-        J[1, 4] = fy * x * y
-        J[1, 5] = fy * x
+        pose_jacobian(fx, fy, x, y, rho, J)
         for i in range(6):
             A[m, 0, i] = L00 * J[0, i] + L10 * J[1, i]
             A[m, 1, i] = L11 * J[1, i]

@@ -8,6 +8,7 @@ import numpy as np
 
 from .compiled import kernel
 from .model import PATTERN_U, PATTERN_V, distortion_weight, photometric_variance
+from .projection import along_depth, depth_jacobian, distortion, moved, pose_jacobian
 from .sampling import sample, sample_inverse_depth
 
 
@@ -43,27 +44,18 @@ def linearise(image, depth, cam, level, points, index, pixels, T, affine, scale,
         v0 = (points.uv[p, 1] + 0.5) * size - 0.5
         mx = (u0 - cx) / fx
         my = (v0 - cy) / fy
-        # q = R m + t d is the transformed point times the inverse depth
-        qx = T[0, 0] * mx + T[0, 1] * my + T[0, 2] + T[0, 3] * d
-        qy = T[1, 0] * mx + T[1, 1] * my + T[1, 2] + T[1, 3] * d
-        qz = T[2, 0] * mx + T[2, 1] * my + T[2, 2] + T[2, 3] * d
+        qx, qy, qz = moved(T, mx, my, d)
         if qz < 1e-3:
             continue
         iz = 1.0 / qz
         x = qx * iz
         y = qy * iz
         rho = d * iz  # inverse depth in the target
-        # dp_i/dp_j at fixed inverse depth
-        a00 = (T[0, 0] - x * T[2, 0]) * iz
-        a01 = (T[0, 1] - x * T[2, 1]) * iz * fx / fy
-        a10 = (T[1, 0] - y * T[2, 0]) * iz * fy / fx
-        a11 = (T[1, 1] - y * T[2, 1]) * iz
-        area = a00 * a11 - a01 * a10
+        a00, a01, a10, a11, area = distortion(T, x, y, iz, fx, fy)
         if area <= 0.0:
             continue
         h = distortion_weight(area, noise.c_h)
-        du_dd = fx * (T[0, 3] - x * T[2, 3]) * iz
-        dv_dd = fy * (T[1, 3] - y * T[2, 3]) * iz
+        du_dd, dv_dd = along_depth(T, x, y, iz, fx, fy)
         var_d = points.var_inv_depth[p]
         G[:] = 0.0
         c[:] = 0.0
@@ -132,18 +124,7 @@ def linearise(image, depth, cam, level, points, index, pixels, T, affine, scale,
             continue
         kept += 1
         energy += e
-        J[0, 0] = fx * rho
-        J[0, 1] = 0.0
-        J[0, 2] = -fx * rho * x
-        J[0, 3] = -fx * x * y
-        J[0, 4] = fx * (1.0 + x * x)
-        J[0, 5] = -fx * y
-        J[1, 0] = 0.0
-        J[1, 1] = fy * rho
-        J[1, 2] = -fy * rho * y
-        J[1, 3] = -fy * (1.0 + y * y)
-        J[1, 4] = fy * x * y
-        J[1, 5] = fy * x
+        pose_jacobian(fx, fy, x, y, rho, J)
         for i in range(6):
             g0 = J[0, i] * G[0, 0] + J[1, i] * G[0, 1]
             g1 = J[0, i] * G[0, 1] + J[1, i] * G[1, 1]
@@ -178,12 +159,7 @@ def linearise(image, depth, cam, level, points, index, pixels, T, affine, scale,
                     w *= huber / s
                 else:
                     energy += s * s
-                # dr/dxi = g . duv/dxi + rho^2 dP_z/dxi with dP_z/dxi = [0 0 1 | y/rho -x/rho 0]
-                for i in range(6):
-                    Jz[i] = gu * J[0, i] + gv * J[1, i]
-                Jz[2] += rho * rho
-                Jz[3] += rho * y
-                Jz[4] -= rho * x
+                depth_jacobian(gu, gv, x, y, rho, J, Jz)
                 for i in range(6):
                     wj = w * Jz[i]
                     for j in range(i, 6):
