@@ -1,4 +1,4 @@
-"""What `idrgbdo check` does and shows; what it asks for stands in cli.py, beside the options that it shares."""
+"""What `idrgbdo check` does and shows; what it asks for stands in options.py, beside the options that it shares."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .check import Finding, Report
-    from .cli import CheckCommand
+    from .options import CheckCommand
 
 COLORS = {"good": "green", "note": "yellow", "fault": "red", "unknown": "dim"}
 

@@ -32,7 +32,7 @@ from .terminal import Rows, evaluation_rows, progress_bar, run_rows, show_table,
 from .trajectory import Trajectory, read_tum
 
 if TYPE_CHECKING:
-    from .cli import DemoCommand, EvaluateCommand, Input, MeshCommand, RunCommand, SynthCommand
+    from .options import DemoCommand, EvaluateCommand, Input, MeshCommand, RunCommand, SynthCommand
     from .viewer import Viewer
 
 DEMO = synthetic.SynthConfig(kind="desk", frames=90)

@@ -1,11 +1,11 @@
-"""What `idrgbdo live` does; what it asks for stands in cli.py, beside the settings that it shares."""
+"""What `idrgbdo live` does; what it asks for stands in options.py, beside the settings that it shares."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .cli import LiveCommand
+    from .options import LiveCommand
 
 
 def live(command: LiveCommand) -> int:

@@ -1,4 +1,4 @@
-"""What `idrgbdo video` does; what it asks for stands in cli.py, beside the options that it shares."""
+"""What `idrgbdo video` does; what it asks for stands in options.py, beside the options that it shares."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .config import Config
 from .errors import IdRgbdoError
 
 if TYPE_CHECKING:
-    from .cli import Input, VideoCommand
+    from .options import Input, VideoCommand
 
 FPS = 30.0  # where the recording does not say
 

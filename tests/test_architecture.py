@@ -32,7 +32,7 @@ FLOORS = (
     {"runfolder", "source", "checkpoint", "live"},
     {"comparison", "check", "doctor"},
     {"report", "viewer", "video"},
-    {"experiments", "terminal"},  # doors
+    {"experiments", "terminal", "options"},  # doors
     {"commands", "compare_command", "download_command", "experiment_command"},
     {"video_command", "check_command", "doctor_command", "live_command"},
     {"cli"},

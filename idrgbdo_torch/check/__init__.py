@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from .findings import Finding, Verdict
-from .report import Measured, Report, check, sampled_frames
+from .measured import Measured
+from .report import Report, check, sampled_frames
 
 __all__ = ["Finding", "Measured", "Report", "Verdict", "check", "sampled_frames"]

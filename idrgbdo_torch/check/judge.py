@@ -15,7 +15,7 @@ from .edges import CONTRAST, STRONG
 from .findings import Finding, Verdict
 
 if TYPE_CHECKING:
-    from .report import Measured
+    from .measured import Measured
 
 MATCHED_NOTE, MATCHED_FAULT = 0.95, 0.75  # share of the shorter list that found its partner
 MISSING_NOTE, MISSING_FAULT = 0.03, 0.15  # share of frames

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..figures import CAPTION, Picture
 from .edges import REACH, depth_edges
-from .report import Measured
+from .measured import Measured
 from .samples import Sample
 
 SIDE = 520  # px, width of a panel

@@ -8,38 +8,20 @@ from pathlib import Path
 
 import numpy as np
 
-from ..camera import Pinhole
 from ..datasets import RgbdSequence
 from ..trajectory import Trajectory
 from . import judge
 from .calibration import SelfCalibration, self_calibrate
-from .edges import EdgeFit, EdgeSums
+from .edges import EdgeSums
 from .findings import Finding, Verdict
 from .images import ImageStatistics, statistics
+from .measured import Measured
 from .motion import ReferenceMotion, reference_motion
-from .samples import Sample, read_runs, spread
-from .timing import Lists, Timing, lists, timing
+from .samples import read_runs, spread
+from .timing import lists, timing
 from .tracks import Tracks
 
 EVERY = 4  # sampled frames between two whose images are measured
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Everything that was measured; the findings are judged from it, the picture is drawn from it."""
-
-    camera: Pinhole
-    frames: int
-    sampled: int
-    broken: list[str]  # reasons of the sampled frames that cannot be read
-    lists: Lists | None
-    timing: Timing | None
-    images: list[ImageStatistics]
-    edges: EdgeFit
-    tracks: Tracks
-    calibration: SelfCalibration | None
-    motion: ReferenceMotion | None
-    shown: Sample | None  # the frame for the picture: most depth edges
 
 
 @dataclass(frozen=True)

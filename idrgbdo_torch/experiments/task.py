@@ -30,7 +30,9 @@ from ..tracking import motion_information
 
 OURS = "ours"
 PACKAGE = Path(__file__).resolve().parent.parent
-NOT_THE_METHOD = ("cli", "commands", "terminal", "runfolder", "figures", "mapping")  # files that change no pose
+NOT_THE_METHOD = (  # files that change no pose
+    *("cli", "options", "commands", "doctor", "terminal", "runfolder", "figures", "mapping", "mesh", "video", "viewer"),
+)
 FRAME_BYTES = 11  # a pixel, decoded: gray and depth in 4 each, colour in 3
 KEPT_SHARE = 0.25  # of the machine's memory, that all processes together may fill with decoded frames
 

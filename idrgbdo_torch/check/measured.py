@@ -1,0 +1,32 @@
+"""What a check has measured, for those who judge it and draw it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..camera import Pinhole
+from .calibration import SelfCalibration
+from .edges import EdgeFit
+from .images import ImageStatistics
+from .motion import ReferenceMotion
+from .samples import Sample
+from .timing import Lists, Timing
+from .tracks import Tracks
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Everything that was measured; the findings are judged from it, the picture is drawn from it."""
+
+    camera: Pinhole
+    frames: int
+    sampled: int
+    broken: list[str]  # reasons of the sampled frames that cannot be read
+    lists: Lists | None
+    timing: Timing | None
+    images: list[ImageStatistics]
+    edges: EdgeFit
+    tracks: Tracks
+    calibration: SelfCalibration | None
+    motion: ReferenceMotion | None
+    shown: Sample | None  # the frame for the picture: most depth edges
