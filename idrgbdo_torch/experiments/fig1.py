@@ -107,12 +107,11 @@ def draw(outcomes: Sequence[Outcome], images: Sequence[Array], picks: Sequence[i
         axes.scatter(outcome.cloud @ across, outcome.cloud @ along, s=0.6, c=outcome.colors, linewidths=0)
         for other, shade in zip(outcomes, (BLUE, MAGENTA), strict=True):
             own = other is outcome
-            axes.plot(
-                other.positions @ across, other.positions @ along, color=shade, linewidth=2.0 if own else 1.0,
-                label=f"{other.points} points" if own else None, zorder=3 + own,
-            )  # fmt: skip
+            width, order = (2.0, 4) if own else (1.0, 3)
+            axes.plot(other.positions @ across, other.positions @ along, color=shade, linewidth=width, zorder=order)
+            if own:
+                axes.set_title(f"{other.points} points", color=shade, fontsize=11)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="m", ylabel="m", aspect="equal")
-        axes.legend(frameon=False, loc="upper right")
     for axes, image, number in zip(figure.axes[2:], images, picks, strict=True):
         axes.imshow(image, cmap="gray", vmin=0, vmax=255)
         many, few = (outcome.tracked.get(number, np.zeros((0, 2))) for outcome in outcomes)

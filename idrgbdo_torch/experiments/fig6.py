@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 FACTORS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 6.0, 10.0)  # of the default threshold
 QUICK_FACTORS = (0.02, 0.1, 0.3, 0.6, 1.0, 1.7, 3.0, 6.0)
+ERRORS = (0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0)  # ticks of the figure
 FLAT = 1.03  # so much above the minimum is still "at the minimum"
 Criterion = Literal["bits", "ratio"]
 
@@ -124,10 +125,13 @@ def findings(levels: Sequence[Level]) -> list[str]:
         best = min(range(len(levels)), key=lambda k: errors[k])
         inside = 0 < best < len(levels) - 1
         at = getattr(default, name) <= FLAT * errors[best]
+        apart = getattr(default, name) - errors[best]
+        widths = getattr(default, f"{name}_half_width") + getattr(levels[best], f"{name}_half_width")
         lines.append(
             f"{levels[0].criterion}: {name.upper()} is least at {levels[best].threshold:.3g}, "
             f"{'inside' if inside else 'AT THE END OF'} the range; the default {default.threshold:.3g} is "
-            f"{'at' if at else 'NOT AT'} it ({getattr(default, name) / errors[best] - 1:+.1%})"
+            f"{'at' if at else 'NOT AT'} it ({getattr(default, name) / errors[best] - 1:+.1%}, "
+            f"{'more than' if apart > widths else 'within'} the intervals)"
         )
     return lines
 
@@ -145,6 +149,10 @@ def draw(levels: Sequence[Level]) -> Figure:
         axes.axvline(default, color="#8b95a1", linestyle=":", label="default")
         axes.set_xscale("log")
         ticks_at(axes.xaxis, [float(f"{value:.2g}") for value in x[:: 1 + len(x) // 8]])
+        axes.set_yscale("log")
+        highest = max(*rpe, *ate)
+        ticks_at(axes.yaxis, [value for value in ERRORS if value <= 2 * highest])
+        axes.set_ylim(ERRORS[0], 1.3 * max(highest, 1.0))
         unit = "bits" if criterion == "bits" else "as Eq. 20"
         axes.set(xlabel=f"threshold ({unit})", ylabel="normalised error")
         axes.legend(frameon=False)
