@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from ..config import Config
 from .drawing import SERIES, new_figure
-from .fig3 import configured
 from .lab import Cell, Lab, Report, Table
 from .paper import TABLE_1, PaperRow
 from .task import Measured, Task
@@ -62,8 +61,7 @@ def survey(lab: Lab) -> dict[tuple[str, str], Measured]:
     from baselines import METHODS
 
     rows: dict[str, tuple[str, Config | None]] = {
-        f"ours-{FEW}": ("ours", configured("inf+grid", FEW)),
-        f"ours-{MANY}": ("ours", configured("inf+grid", MANY)),
+        f"ours-{count}": ("ours", with_points(Config(), count)) for count in (FEW, MANY)
     }
     if lab.paper is not None:
         rows |= {f"paper-{count}": ("ours", with_points(lab.paper, count)) for count in (FEW, MANY)}
@@ -80,7 +78,7 @@ def others(methods: Mapping[str, Method], quick: bool) -> list[str]:
 
 
 def with_points(config: Config, points: int) -> Config:
-    """A configuration with so many points, on the coarse levels too if it has no more there than elsewhere."""
+    """A configuration with so many points, in the window too, and on coarse levels if it has no more there."""
     coarse = config.tracking.points_coarse
     if coarse == config.selection.points:
         config = replace(config, tracking=replace(config.tracking, points_coarse=points))
