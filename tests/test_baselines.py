@@ -153,7 +153,7 @@ def test_open3d_tensor_rows_are_the_librarys_own(loss: open3d_tensor.Loss, pair:
         ).transformation.numpy()
         for _ in range(5)  # its parallel sums differ from call to call, by 5e-7 to 3e-6 with the machine's load
     ]
-    spread = float(np.ptp(direct, axis=0).max())
+    spread = max(float(np.ptp(direct, axis=0).max()), 3e-6)  # five calls need not show all of it
     assert spread < 2e-5
     assert_same_motion(open3d_tensor.aligner(loss), np.mean(direct, axis=0), pair, atol=1e-6 + 2 * spread)
 

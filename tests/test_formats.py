@@ -14,7 +14,7 @@ import pytest
 import torch
 from rendered import SMALL, Film, rotation_deg
 
-from idrgbdo_torch import IdRgbdo, cli
+from idrgbdo_torch import IdRgbdo, cli, options
 from idrgbdo_torch.datasets import FORMATS, RgbdSequence, guess, open_sequence
 from idrgbdo_torch.datasets.builder import FrameBuilder
 from idrgbdo_torch.datasets.calibration import BONN, ICL_NUIM, Calibration, DepthCamera, find_calibration, scaled
@@ -404,7 +404,7 @@ def test_the_camera_files_of_the_documentation_are_cameras(tmp_path: Path) -> No
 def test_every_format_is_documented() -> None:
     page = (Path(__file__).parent.parent / "docs" / "data.md").read_text()
     assert set(re.findall(r"^\| `(\w+)` \| .* \| .* \| .* \| .* \|$", page, flags=re.MULTILINE)) == set(FORMATS)
-    help_text = next(line for line in Path(cli.__file__).read_text().splitlines() if "format: str | None" in line)
+    help_text = next(line for line in Path(options.__file__).read_text().splitlines() if "format: str | None" in line)
     assert all(name in help_text for name in FORMATS)
 
 
