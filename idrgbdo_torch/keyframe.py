@@ -62,7 +62,7 @@ def wants_keyframe(history: list[Array], config: KeyframeConfig) -> bool:
 def freedom_entropies(information: Array) -> Array:
     """freedom_entropies_bits of one (6, 6) matrix, for every frame: (6,)."""
     precision = information.diagonal()
-    if precision.min() > 0.0:
+    if precision.min() > 0.0:  # nearly always, and np.errstate costs more than the logarithm
         return np.asarray(0.5 * (log2(2.0 * pi * e) - np.log2(precision)))
     with np.errstate(divide="ignore", invalid="ignore"):
         bits = 0.5 * np.log2(2.0 * pi * e / precision)
