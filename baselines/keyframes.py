@@ -9,9 +9,9 @@ from typing import Generic, Protocol, TypeVar
 import torch
 from torch import Tensor
 
+from idrgbdo_torch.definitions.se3 import exp, inverse, log
 from idrgbdo_torch.frame import RgbdFrame
 from idrgbdo_torch.odometry import Status, TrackResult, poses_to_trajectory
-from idrgbdo_torch.se3 import exp, inverse, log
 from idrgbdo_torch.trajectory import Trajectory
 
 from .checked import judge

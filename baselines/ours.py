@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from idrgbdo_torch import configfile
 from idrgbdo_torch.config import Config, Mode
-from idrgbdo_torch.id_rgbdo import IdRgbdo
+from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 
 
 def configuration(points: int, mode: Mode, seed: int = 0) -> Config:

@@ -6,26 +6,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .alignment import AlignedPairs, align_pairs
-    from .batched import NormalEquations, ResidualNoise, Target, linearise_pairs, residual_noise
-    from .camera import Pinhole
     from .config import Config
     from .datasets import open_sequence
-    from .errors import IdRgbdoError
-    from .evaluation import evaluate
-    from .frame import BrokenFrame, RgbdFrame
-    from .id_rgbdo import IdRgbdo
-    from .information import (
+    from .definitions.camera import Pinhole
+    from .definitions.information import (
         conditional_covariance,
         entropy_bits,
         entropy_reduction_bits,
         information_from_rows,
         mutual_information_bits,
     )
-    from .informative import select_rows
+    from .definitions.linearise import NormalEquations, ResidualNoise, Target, linearise_pairs, residual_noise
+    from .definitions.photometric import depth_residual, linearize, warp
+    from .definitions.points import HostPoints, host_points, pick_points, tracking_pyramid
+    from .definitions.selection import select_rows
+    from .definitions.tracking import AlignedPairs, align_pairs
+    from .errors import IdRgbdoError
+    from .evaluation import evaluate
+    from .frame import BrokenFrame, RgbdFrame
     from .odometry import Align, Alignment, FrameToFrame, Odometry, Run, Status, TrackResult, run
-    from .photometric import depth_residual, linearize, warp
-    from .points import HostPoints, host_points, pick_points, tracking_pyramid
+    from .tracker.id_rgbdo import IdRgbdo
     from .trajectory import Trajectory, read_tum, write_tum
 
 __version__ = "0.1.0"
@@ -33,43 +33,43 @@ __version__ = "0.1.0"
 # where each public name lives; imported when first used, so that `import idrgbdo_torch` takes no time
 _HOMES = {
     "Align": "odometry",
-    "AlignedPairs": "alignment",
+    "AlignedPairs": "definitions.tracking",
     "Alignment": "odometry",
     "BrokenFrame": "frame",
     "Config": "config",
     "FrameToFrame": "odometry",
-    "HostPoints": "points",
-    "IdRgbdo": "id_rgbdo",
+    "HostPoints": "definitions.points",
+    "IdRgbdo": "tracker.id_rgbdo",
     "IdRgbdoError": "errors",
-    "NormalEquations": "batched",
+    "NormalEquations": "definitions.linearise",
     "Odometry": "odometry",
-    "Pinhole": "camera",
-    "ResidualNoise": "batched",
+    "Pinhole": "definitions.camera",
+    "ResidualNoise": "definitions.linearise",
     "RgbdFrame": "frame",
     "Run": "odometry",
     "Status": "odometry",
-    "Target": "batched",
+    "Target": "definitions.linearise",
     "TrackResult": "odometry",
     "Trajectory": "trajectory",
-    "align_pairs": "alignment",
-    "conditional_covariance": "information",
-    "depth_residual": "photometric",
-    "entropy_bits": "information",
-    "entropy_reduction_bits": "information",
+    "align_pairs": "definitions.tracking",
+    "conditional_covariance": "definitions.information",
+    "depth_residual": "definitions.photometric",
+    "entropy_bits": "definitions.information",
+    "entropy_reduction_bits": "definitions.information",
     "evaluate": "evaluation",
-    "host_points": "points",
-    "information_from_rows": "information",
-    "linearise_pairs": "batched",
-    "linearize": "photometric",
-    "mutual_information_bits": "information",
+    "host_points": "definitions.points",
+    "information_from_rows": "definitions.information",
+    "linearise_pairs": "definitions.linearise",
+    "linearize": "definitions.photometric",
+    "mutual_information_bits": "definitions.information",
     "open_sequence": "datasets",
-    "pick_points": "points",
+    "pick_points": "definitions.points",
     "read_tum": "trajectory",
-    "residual_noise": "batched",
+    "residual_noise": "definitions.linearise",
     "run": "odometry",
-    "select_rows": "informative",
-    "tracking_pyramid": "points",
-    "warp": "photometric",
+    "select_rows": "definitions.selection",
+    "tracking_pyramid": "definitions.points",
+    "warp": "definitions.photometric",
     "write_tum": "trajectory",
 }
 

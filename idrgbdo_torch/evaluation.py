@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from .definitions.se3 import inverse
 from .errors import IdRgbdoError
-from .se3 import inverse
 from .trajectory import Trajectory, align, associate, nearest
 
 ASSOCIATION_LIMIT_S = 0.02

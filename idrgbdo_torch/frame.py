@@ -12,14 +12,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from .camera import Pinhole
+from .definitions.camera import Pinhole
 from .errors import IdRgbdoError
-from .kernels.model import Points
+from .measurement import COARSE_BLUR, LEVELS, Points
 
 Image = NDArray[Any]
-
-LEVELS = 6  # of every pyramid; tracking starts at its configured one, recovery at the coarsest
-COARSE_BLUR = 1.2  # px, standard deviation
 
 
 @dataclass(frozen=True)

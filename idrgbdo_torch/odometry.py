@@ -11,8 +11,8 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from .definitions.se3 import exp, inverse
 from .frame import BrokenFrame, RgbdFrame
-from .se3 import exp, inverse
 from .trajectory import Trajectory
 
 

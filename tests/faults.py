@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from idrgbdo_torch.camera import Pinhole
+from idrgbdo_torch.definitions.camera import Pinhole
 from idrgbdo_torch.frame import BrokenFrame, RgbdFrame
 from idrgbdo_torch.trajectory import Trajectory
 

@@ -11,8 +11,8 @@ import torch
 from plane_world import CAMERA, SLANTED, T_TARGET_HOST, render
 from torch import Tensor
 
-from idrgbdo_torch.image import pyramid, sample_surface, sample_with_gradient
-from idrgbdo_torch.kernels.model import PATTERN_U, PATTERN_V, Points
+from idrgbdo_torch.definitions.image import pyramid, sample_surface, sample_with_gradient
+from idrgbdo_torch.measurement import PATTERN_U, PATTERN_V, Points
 
 KERNEL_PATTERN = torch.from_numpy(np.stack([PATTERN_U, PATTERN_V], axis=1))  # (8, 2) px, the kernels' own order
 P = len(KERNEL_PATTERN)

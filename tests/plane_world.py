@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 from torch.func import jacfwd
 
-from idrgbdo_torch import se3
-from idrgbdo_torch.camera import Pinhole, backproject
-from idrgbdo_torch.image import sample_bilinear
+from idrgbdo_torch.definitions import se3
+from idrgbdo_torch.definitions.camera import Pinhole, backproject
+from idrgbdo_torch.definitions.image import sample_bilinear
 
 CAMERA = Pinhole(width=320, height=240, fx=280.0, fy=270.0, cx=161.5, cy=117.5)
 XI = torch.tensor([0.06, -0.04, 0.05, 0.02, -0.03, 0.04], dtype=torch.float64)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from idrgbdo_torch.definitions.se3 import inverse
 from idrgbdo_torch.frame import RgbdFrame
-from idrgbdo_torch.se3 import inverse
 from idrgbdo_torch.synthetic import RenderedSequence, SynthConfig
 from idrgbdo_torch.trajectory import Trajectory
 

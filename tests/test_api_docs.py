@@ -14,7 +14,7 @@ import torch
 from test_readme import blocks
 
 import idrgbdo_torch
-from idrgbdo_torch.se3 import log
+from idrgbdo_torch.definitions.se3 import log
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "api.md"

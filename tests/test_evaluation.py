@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from idrgbdo_torch.definitions.se3 import exp, inverse
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.evaluation import Measurement, absolute_error, evaluate, keyframe_error, relative_error
-from idrgbdo_torch.se3 import exp, inverse
 from idrgbdo_torch.trajectory import Trajectory, read_tum
 
 PUBLISHED = [

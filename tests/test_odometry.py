@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 import pytest
 import torch
 
-from idrgbdo_torch.camera import Pinhole
+from idrgbdo_torch.definitions.camera import Pinhole
+from idrgbdo_torch.definitions.se3 import exp, inverse
 from idrgbdo_torch.frame import BrokenFrame, RgbdFrame
 from idrgbdo_torch.odometry import Alignment, ConstantVelocity, FrameToFrame, Record, Status, TrackResult, run
-from idrgbdo_torch.se3 import exp, inverse
 from idrgbdo_torch.trajectory import Trajectory
 
 CAMERA = Pinhole(width=8, height=6, fx=8, fy=8, cx=3.5, cy=2.5)

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 import pytest
 
-from idrgbdo_torch import Status, cli, read_tum
+from idrgbdo_torch import Status, read_tum
+from idrgbdo_torch.commands import cli
 from idrgbdo_torch.datasets.calibration import find_calibration
 from idrgbdo_torch.synthetic import RenderedSequence, SynthConfig
 

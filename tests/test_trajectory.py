@@ -10,8 +10,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from idrgbdo_torch.definitions.se3 import exp
 from idrgbdo_torch.errors import IdRgbdoError
-from idrgbdo_torch.se3 import exp
 from idrgbdo_torch.trajectory import (
     Trajectory,
     align,

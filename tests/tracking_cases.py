@@ -9,12 +9,13 @@ import torch
 from rendered import Film, rotation_deg
 from torch import Tensor
 
-from idrgbdo_torch import se3
-from idrgbdo_torch.candidates import make_keyframe
 from idrgbdo_torch.config import Config
+from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.frame import Frame, Keyframe, prepare
-from idrgbdo_torch.selection import select_points
-from idrgbdo_torch.tracking import Tracked, kernel_noise, motion_information, track_frame
+from idrgbdo_torch.measurement import kernel_noise
+from idrgbdo_torch.tracker.keyframe import make_keyframe
+from idrgbdo_torch.tracker.selection import select_points
+from idrgbdo_torch.tracker.tracking import Tracked, motion_information, track_frame
 
 CONFIG = Config()
 NOISE = kernel_noise(CONFIG.noise)

@@ -10,13 +10,14 @@ import torch
 from rendered import Film, rotation_deg
 from torch import Tensor
 
-from idrgbdo_torch import se3
-from idrgbdo_torch.candidates import make_keyframe
 from idrgbdo_torch.config import Config, WindowConfig
+from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.frame import Keyframe, prepare
-from idrgbdo_torch.selection import select_points
-from idrgbdo_torch.tracking import kernel_noise, motion_information
-from idrgbdo_torch.window import Window
+from idrgbdo_torch.measurement import kernel_noise
+from idrgbdo_torch.tracker.keyframe import make_keyframe
+from idrgbdo_torch.tracker.selection import select_points
+from idrgbdo_torch.tracker.tracking import motion_information
+from idrgbdo_torch.tracker.window import Window
 
 FRAMES = (0, 4, 8, 12, 16, 20, 24)
 CONFIG = replace(Config(), window=WindowConfig(keyframes=5))

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Pinhole
+from ..definitions.camera import Pinhole
 from .tracks import Pair
 
 Array = NDArray[np.float64]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..camera import Pinhole
+from ..definitions.camera import Pinhole
 from .calibration import SelfCalibration
 from .edges import EdgeFit
 from .images import ImageStatistics

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..figures import CAPTION, Picture
+from ..report.pictures import CAPTION, Picture
 from .edges import REACH, depth_edges
 from .measured import Measured
 from .samples import Sample

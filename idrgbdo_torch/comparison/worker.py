@@ -17,7 +17,7 @@ from ..errors import IdRgbdoError
 from ..evaluation import evaluate
 from ..methods import Method
 from ..odometry import Record, Status, run
-from ..runfolder import RunFolder, measurements, summarise
+from ..runs.folder import RunFolder, measurements, summarise
 
 STDERR = "stderr.txt"
 

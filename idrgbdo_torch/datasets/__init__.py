@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Protocol
 
-from ..camera import Pinhole
+from ..definitions.camera import Pinhole
 from ..frame import BrokenFrame, RgbdFrame
 from ..trajectory import Trajectory
 from .formats import FORMATS, guess, read_recording

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..camera import Pinhole
+from ..definitions.camera import Pinhole
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from .calibration import Calibration

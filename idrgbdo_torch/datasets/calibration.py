@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import configfile
-from ..camera import Pinhole
 from ..configfile import Count, Positive
+from ..definitions.camera import Pinhole
 from ..errors import IdRgbdoError
 
 EXAMPLE = "`fx = 525.0`, `fy = 525.0`, `cx = 319.5`, `cy = 239.5`, `depth_scale = 1000.0` (depth values per metre)"

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ..camera import Pinhole
+from ..definitions.camera import Pinhole
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from ..open3d_loader import load_open3d

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..camera import Pinhole
+from ..definitions.camera import Pinhole
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
-from ..prefetch import prefetch
 from ..trajectory import Trajectory
 from .builder import FrameBuilder, RawPair, depth_warnings
 from .calibration import Calibration
+from .prefetch import prefetch
 
 LOOK_AT = 30  # frames that may be broken before the first good one
 

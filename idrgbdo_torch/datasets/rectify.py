@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Pinhole
+from ..definitions.camera import Pinhole
 from .calibration import Calibration
 
 Image32 = NDArray[np.float32]

@@ -11,15 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..candidates import make_keyframe
 from ..config import Config
 from ..frame import Keyframe, RgbdFrame, prepare
-from ..kernels.lie import inverse, retract
-from ..selection import select_points
+from ..kernels.se3 import inverse, retract
+from ..measurement import kernel_noise
 from ..synthetic import SynthConfig
 from ..synthetic.sequence import RenderedSequence
-from ..tracking import kernel_noise, motion_information, track_frame
-from ..window import Window
+from ..tracker.keyframe import make_keyframe
+from ..tracker.selection import select_points
+from ..tracker.tracking import motion_information, track_frame
+from ..tracker.window import Window
 
 Array = NDArray[np.float64]
 Case = Callable[[], Any]  # does the work once; called again it does the same

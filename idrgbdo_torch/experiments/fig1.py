@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..datasets import open_sequence
+from ..definitions.se3 import transform
 from ..evaluation import Evaluation, evaluate
 from ..frame import RgbdFrame
-from ..id_rgbdo import IdRgbdo
 from ..odometry import Record
 from ..odometry import run as track_all
-from ..runfolder import measurements
-from ..se3 import transform
+from ..runs.folder import measurements
+from ..tracker.id_rgbdo import IdRgbdo
 from .drawing import BLUE, MAGENTA, new_figure
 from .fig3 import configured
 from .lab import Lab, Report, Table

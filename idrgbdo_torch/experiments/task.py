@@ -25,14 +25,12 @@ from ..errors import IdRgbdoError
 from ..evaluation import Evaluation, evaluate
 from ..frame import BrokenFrame, RgbdFrame
 from ..odometry import Odometry, Run, Status, run
-from ..runfolder import is_refined, measurements, summarise
-from ..tracking import motion_information
+from ..runs.folder import is_refined, measurements, summarise
+from ..tracker.tracking import motion_information
 
 OURS = "ours"
 PACKAGE = Path(__file__).resolve().parent.parent
-NOT_THE_METHOD = (  # files that change no pose
-    *("cli", "options", "commands", "doctor", "terminal", "runfolder", "figures", "mapping", "mesh", "video", "viewer"),
-)
+DECIDING = ("definitions", "kernels", "tracker", "datasets")  # folders of the package that change results
 FRAME_BYTES = 11  # a pixel, decoded: gray and depth in 4 each, colour in 3
 KEPT_SHARE = 0.25  # of the machine's memory, that all processes together may fill with decoded frames
 
@@ -135,7 +133,7 @@ def measure(task: Task) -> dict[str, Any]:
 def make(task: Task) -> Odometry:
     """The task's odometry."""
     if task.method == OURS:
-        from ..id_rgbdo import IdRgbdo
+        from ..tracker.id_rgbdo import IdRgbdo
 
         return IdRgbdo(replace(task.config or Config(), seed=task.seed))
     from baselines import METHODS
@@ -164,9 +162,8 @@ def content_digest(folder: Path) -> str:
 @lru_cache(maxsize=1)
 def code_digest() -> str:
     """Of the code that decides results, so that a changed method is measured anew; and of the libraries' versions."""
-    own = [path for path in PACKAGE.glob("*.py") if path.stem not in NOT_THE_METHOD and "_command" not in path.stem]
-    folders = [PACKAGE / "kernels", PACKAGE / "datasets", PACKAGE.parent / "baselines"]
-    files = sorted(own) + [path for folder in folders for path in sorted(folder.rglob("*.py"))]
+    folders = [*(PACKAGE / name for name in DECIDING), PACKAGE.parent / "baselines"]
+    files = sorted(PACKAGE.glob("*.py")) + [path for folder in folders for path in sorted(folder.rglob("*.py"))]
     digest = hashlib.sha256(json.dumps(versions_of(("torch", "numpy", "numba", "open3d"))).encode())
     for path in files:
         digest.update(path.name.encode() + path.read_bytes())

@@ -6,11 +6,9 @@ from math import sqrt
 
 import numpy as np
 
+from ..measurement import PATTERN_U, PATTERN_V, TIER
 from .compiled import kernel
-from .model import PATTERN_U, PATTERN_V
-from .sampling import sample
-
-TIER = 65536.0  # above every squared gradient of an 8-bit image
+from .image import sample
 
 
 @kernel

@@ -11,8 +11,8 @@ import torch
 from plotly.subplots import make_subplots
 from torch import Tensor
 
+from ..definitions.se3 import transform
 from ..evaluation import ASSOCIATION_LIMIT_S, absolute_error, relative_error
-from ..se3 import transform
 from ..trajectory import Trajectory, associate
 
 REFERENCE = "#1d2733"

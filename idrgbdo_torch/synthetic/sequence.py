@@ -16,7 +16,7 @@ from .config import SynthConfig
 from .paths import Array, CameraPath, handheld_path, quaternion, recorded_path
 
 if TYPE_CHECKING:
-    from ..camera import Pinhole
+    from ..definitions.camera import Pinhole
     from ..frame import RgbdFrame
     from ..trajectory import Trajectory
     from .render import Renderer
@@ -75,7 +75,7 @@ class RenderedSequence:
 
     @cached_property
     def camera(self) -> Pinhole:
-        from ..camera import Pinhole
+        from ..definitions.camera import Pinhole
 
         c = self.config
         return Pinhole(width=c.width, height=c.height, fx=c.fx, fy=c.fy, cx=c.cx, cy=c.cy)

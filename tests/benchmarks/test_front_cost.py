@@ -9,7 +9,6 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 from rendered import Film
 
-from idrgbdo_torch.candidates import make_keyframe
 from idrgbdo_torch.config import Config
 from idrgbdo_torch.datasets import open_sequence
 from idrgbdo_torch.datasets.images import read_color, read_depth
@@ -17,6 +16,7 @@ from idrgbdo_torch.experiments.cost import Scene
 from idrgbdo_torch.frame import RgbdFrame, prepare
 from idrgbdo_torch.synthetic import RenderedSequence, SynthConfig
 from idrgbdo_torch.synthetic.sequence import write_tum as write_folder
+from idrgbdo_torch.tracker.keyframe import make_keyframe
 
 
 @pytest.fixture(scope="module")

@@ -18,16 +18,16 @@ from endless import back_and_forth
 from rendered import Film
 
 from baselines import METHODS
-from idrgbdo_torch import id_rgbdo
 from idrgbdo_torch.datasets import RgbdSequence, open_sequence
+from idrgbdo_torch.datasets.prefetch import decoding_threads
 from idrgbdo_torch.experiments import cost, fig7, fig8
 from idrgbdo_torch.frame import RgbdFrame
-from idrgbdo_torch.id_rgbdo import IdRgbdo
 from idrgbdo_torch.odometry import Odometry, run
-from idrgbdo_torch.prefetch import decoding_threads
-from idrgbdo_torch.runfolder import RunFolder
+from idrgbdo_torch.runs.folder import RunFolder
 from idrgbdo_torch.synthetic import RenderedSequence, SynthConfig
 from idrgbdo_torch.synthetic.sequence import write_tum as write_folder
+from idrgbdo_torch.tracker import id_rgbdo
+from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 
 LIBRARIES = [name for name in METHODS if name.startswith(("open3d", "opencv"))]
 Show = Callable[[str], None]

@@ -1,0 +1,152 @@
+"""What `idrgbdo compare` asks for and does."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional, UseAppendAction
+
+from ..configfile import Count, Index
+from ..errors import IdRgbdoError
+
+if TYPE_CHECKING:
+    from ..comparison import Comparison, Progress
+    from ..methods import Method
+
+
+@dataclass(frozen=True)
+class CompareCommand:
+    """Run methods over recordings and lay accuracy, losses, speed and memory side by side. A second call goes on."""
+
+    sequences: Positional[tuple[Path, ...]]  # as for `idrgbdo run`
+    methods: str = "all"  # names with commas between; `list` shows them
+    add: Path | None = None  # Python file whose METHODS come as well
+    external: UseAppendAction[tuple[str, ...]] = ()  # NAME[@SEQUENCE]=FILE: a trajectory of another program, TUM text
+    out: Path = Path("comparison")  # folder for tables, page and runs
+    seeds: Count = 1  # runs of each method that is random
+    overwrite: bool = False  # do again what is done
+    start: Index = 0  # frames left out at the beginning
+    every: Count = 1  # take every n-th frame
+    max_frames: Count | None = None  # stop after so many
+
+
+def compare(command: CompareCommand) -> int:
+    """Run what is missing, write the tables, show the first of them."""
+    from ..comparison import Source, parse_external
+    from ..comparison import compare as compare_methods
+    from ..comparison.table import to_csv, to_json, to_markdown
+    from ..report import comparison_page
+    from ..report.terminal import show_table
+
+    known = known_methods(command.add)
+    if command.methods == "list":
+        show_table("methods", [(name, method.description) for name, method in known.items()])
+        return 0
+    if not command.sequences:
+        raise IdRgbdoError("sequences: expected the folder of a recording, got none; name at least one")
+    chosen = choose(known, command.methods)
+    sources = [Source(folder, command.start, command.every, command.max_frames) for folder in command.sequences]
+    with _progress_bar() as on_progress:
+        comparison = compare_methods(
+            chosen,
+            sources,
+            command.out,
+            seeds=command.seeds,
+            externals=[parse_external(text) for text in command.external],
+            overwrite=command.overwrite,
+            on_progress=on_progress,
+        )
+    writers = (
+        ("comparison.md", to_markdown),
+        ("comparison.csv", to_csv),
+        ("comparison.json", to_json),
+        ("report.html", comparison_page),
+    )
+    for name, write in writers:
+        (command.out / name).write_text(write(comparison), encoding="utf-8")
+    _show(comparison)
+    show_table("results", [("in", str(command.out))])
+    return 0
+
+
+def known_methods(add: Path | None) -> dict[str, Method]:
+    """The baselines, ours, and those of a Python file. Raises IdRgbdoError for a file without METHODS."""
+    from baselines import METHODS
+
+    if add is None:
+        return METHODS
+    if not add.is_file():
+        raise IdRgbdoError(f"add: expected a Python file with a dictionary METHODS, found none at '{add}'")
+    folder = str(add.resolve().parent)
+    if folder not in sys.path:
+        sys.path.insert(0, folder)  # so that the process in which a method runs can import it too
+    module = importlib.import_module(add.stem)
+    extra = getattr(module, "METHODS", None)
+    if not isinstance(extra, dict):
+        raise IdRgbdoError(f"add: expected a dictionary METHODS in '{add}', found none; see the README")
+    return {**METHODS, **extra}
+
+
+def choose(known: dict[str, Method], names: str) -> dict[str, Method]:
+    """The named methods, or all. Raises IdRgbdoError for an unknown name."""
+    if names == "all":
+        return known
+    chosen = {}
+    for name in filter(None, (part.strip() for part in names.split(","))):
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else f"the methods are {', '.join(known)}"
+            raise IdRgbdoError(f"methods: no method '{name}'; {hint}")
+        chosen[name] = known[name]
+    return chosen
+
+
+def _show(comparison: Comparison) -> None:
+    """The tables on a terminal; elsewhere as Markdown, which is as wide as it needs to be."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from ..comparison.table import LEGEND, provenance, tables, to_markdown
+
+    if not sys.stdout.isatty():
+        sys.stdout.write(to_markdown(comparison))
+        return
+    console = Console()
+    for table in tables(comparison):
+        grid = Table(title=table.title, title_justify="left")
+        for number, title in enumerate(table.columns):
+            grid.add_column(title, justify="left" if number == 0 else "right", overflow="fold")
+        for row in table.rows:
+            grid.add_row(*(escape(cell) for cell in row))
+        console.print(grid)
+    console.print(LEGEND, provenance(comparison), sep="\n", markup=False, highlight=False)
+
+
+@contextmanager
+def _progress_bar() -> Iterator[Callable[[Progress], None]]:
+    """A bar over the frames of the run at hand, with the run's number; on a terminal only."""
+    if not sys.stdout.isatty():
+        yield lambda progress: None
+        return
+    from rich.markup import escape
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    with Bar(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
+        task = bar.add_task("")
+
+        def show(progress: Progress) -> None:
+            title = f"{progress.job}/{progress.jobs} {progress.sequence}: {progress.method}"
+            if progress.frame == 0:
+                bar.reset(task)
+            bar.update(task, description=escape(title), completed=progress.frame, total=progress.frames)
+
+        yield show

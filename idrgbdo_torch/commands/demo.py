@@ -1,0 +1,44 @@
+"""`idrgbdo demo`: the main job on a sequence that is rendered on first use."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from .. import __version__
+from ..config import Config
+from ..synthetic.config import SynthConfig
+from .input import Settings
+
+DEMO = SynthConfig(kind="desk", frames=90)
+
+
+@dataclass(frozen=True)
+class DemoCommand:
+    """Render a short sequence on first use, track it, and show how well that went. Needs no file and no network."""
+
+    settings: Settings = field(default_factory=Config)
+    config: Path | None = None  # TOML; its values are the defaults of the flags
+    out: Path | None = None  # folder for the results; else runs/demo/<time>
+    viewer: bool = False  # watch it in Rerun, pip install "idrgbdo_torch[viewer]"
+    save_rrd: Path | None = None  # the same into a file, for machines without a display
+
+
+def demo(command: DemoCommand) -> int:
+    """Render the demo's sequence unless it is in the cache, and track it."""
+    from ..datasets import open_sequence
+    from ..report.viewer import open_viewer
+    from ..runs.source import remember
+    from .synth import render
+    from .track import track
+
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "idrgbdo"
+    folder = cache / f"demo_{DEMO.kind}_{DEMO.frames}_{__version__}"
+    if not (folder / "rgb.txt").exists():
+        print(f"rendering {DEMO.frames} frames of a desk into {folder} (once)", flush=True)
+        render(DEMO, folder)
+    source = partial(remember, sequence=folder, options={})
+    with open_viewer("demo", command.viewer, command.save_rrd) as viewer:
+        return track(open_sequence(folder), "demo", command.settings, command.out, viewer=viewer, source=source)

@@ -1,0 +1,34 @@
+"""`idrgbdo evaluate`: two trajectories compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from ..configfile import Positive
+
+
+@dataclass(frozen=True)
+class EvaluateCommand:
+    """Compare a trajectory with a reference: ATE and RPE."""
+
+    estimate: Positional[Path]  # TUM text, or the folder of a run
+    groundtruth: Positional[Path]  # TUM text, or the folder of a recording
+    association_limit: Positive = 0.02  # s, between an estimated and a reference pose
+
+
+def evaluate(command: EvaluateCommand) -> int:
+    """Compare two trajectories."""
+    from ..evaluation import evaluate as evaluate_trajectory
+    from ..report.terminal import evaluation_rows, show_table
+    from ..trajectory import read_tum
+    from .input import file_in, reference_of
+
+    estimate = read_tum(file_in(command.estimate, "trajectory.txt"))
+    reference = reference_of(command.groundtruth)
+    evaluation = evaluate_trajectory(estimate, reference, max_difference_s=command.association_limit)
+    counts = f"{evaluation.matched_poses} of {len(estimate)} estimated, of {len(reference)} reference poses"
+    show_table(str(command.estimate), [*evaluation_rows(evaluation)[:-1], ("matched poses", counts)])
+    return 0

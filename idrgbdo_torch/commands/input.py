@@ -1,0 +1,75 @@
+"""What commands share of their input: how a recording or a trajectory is found, read and configured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import FlagConversionOff, arg
+
+from ..config import Config
+from ..configfile import Count, Index, NonNegative, Positive
+from ..errors import IdRgbdoError
+
+if TYPE_CHECKING:
+    from ..datasets import RgbdSequence
+    from ..trajectory import Trajectory
+
+
+Settings = Annotated[Config, arg(name=""), FlagConversionOff]
+
+
+@dataclass(frozen=True)
+class Input:
+    """How the recording is read."""
+
+    format: str | None = None  # tum, icl_nuim, 7scenes, redwood, replica, scannet, ros, folder; else it is recognised
+    camera: Path | None = None  # TOML with fx, fy, cx, cy [k1 k2 p1 p2 k3 depth_scale]; else what the recording says
+    associations: Path | None = None  # list `timestamp colour timestamp depth`; else images are paired by time
+    association_limit: NonNegative = 0.02  # s, between the two images of a pair
+    depth_scale: Positive | None = None  # depth values per metre; else the camera file's or the format's
+    color_topic: str | None = None  # of a ROS recording; else the likeliest
+    depth_topic: str | None = None  # the same; choose one that is registered to colour
+    start: Index = 0  # frames left out at the beginning
+    every: Count = 1  # take every n-th frame
+    max_frames: Count | None = None  # stop after so many
+
+
+def open_input(path: Path, options: Input) -> RgbdSequence:
+    """The recording at a path, read as the options say."""
+    from ..datasets import open_sequence
+
+    return open_sequence(
+        path,
+        format=options.format,
+        camera=options.camera,
+        associations=options.associations,
+        depth_scale=options.depth_scale,
+        association_limit_s=options.association_limit,
+        color_topic=options.color_topic,
+        depth_topic=options.depth_topic,
+        start=options.start,
+        every=options.every,
+        max_frames=options.max_frames,
+    )
+
+
+def reference_of(path: Path) -> Trajectory:
+    """The poses of a TUM text, or the reference of a recording of any format. Raises IdRgbdoError for one without."""
+    from ..datasets import open_sequence
+    from ..trajectory import read_tum
+
+    if not path.is_dir() or (path / "groundtruth.txt").exists():
+        return read_tum(file_in(path, "groundtruth.txt"))
+    reference = open_sequence(path).groundtruth
+    if reference is None:
+        raise IdRgbdoError(
+            f"groundtruth: the recording '{path}' holds no reference poses; pass a file of them, TUM text"
+        )
+    return reference
+
+
+def file_in(path: Path, name: str) -> Path:
+    """The file itself, or the one of that name in a folder."""
+    return path / name if path.is_dir() else path

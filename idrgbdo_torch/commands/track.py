@@ -1,0 +1,176 @@
+"""What the commands do. Only here and in terminal.py is anything shown."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from .. import __version__, configfile, datasets, odometry
+from ..config import Config
+from ..definitions.se3 import inverse, transform
+from ..errors import IdRgbdoError
+from ..evaluation import Evaluation
+from ..evaluation import evaluate as evaluate_trajectory
+from ..frame import BrokenFrame, RgbdFrame
+from ..odometry import Odometry, Record, Run, Status
+from ..report import Snapshot, run_page, watch
+from ..report.pictures import Picture, draw_frames, draw_trajectory, save
+from ..report.terminal import Rows, evaluation_rows, progress_bar, run_rows, show_table, status_counter
+from ..runs import checkpoint
+from ..runs.checkpoint import Checkpoints, Identity, State
+from ..runs.folder import RunFolder, believable, default_folder, is_refined, measurements
+from ..trajectory import Trajectory
+from .mesh import fuse_mesh
+
+if TYPE_CHECKING:
+    from ..report.viewer import Viewer
+
+INTERRUPTED = 128 + signal.SIGINT
+
+
+def make_odometry(config: Config) -> Odometry:
+    """The method of this package."""
+    from ..tracker.id_rgbdo import IdRgbdo
+
+    return IdRgbdo(config)
+
+
+def track(
+    sequence: datasets.RgbdSequence,
+    title: str,
+    config: Config,
+    out: Path | None,
+    figures: bool = False,
+    viewer: Viewer | None = None,
+    map_kind: str = "points",
+    resume: bool | None = None,
+    source: Callable[[Path], None] = lambda folder: None,
+) -> int:
+    """Track a sequence into a run folder, evaluate it where there is ground truth, and show the table.
+
+    resume: go on with the interrupted run in the folder; None where that can never be, so no checkpoint is kept.
+    source: leaves in the folder what was tracked.
+    """
+    for warning in sequence.warnings:
+        print("warning:", warning, file=sys.stderr)
+    identity = Identity.of(__version__, config, title, sequence.timestamps, sequence.camera)
+    if resume:
+        path = out or (Path("runs") / title / "latest").resolve()
+        state = checkpoint.load(path, identity)
+        print(f"going on after frame {len(state.records)} of {len(sequence)} in {path}", flush=True)
+    else:
+        path = out or default_folder(title, datetime.now())
+        state = State(make_odometry(config), [], [])
+    method, records, done_before = state.odometry, state.records, len(state.records)
+    snapshots: list[Snapshot] = state.extras
+    folder = RunFolder(path, configfile.dump(config))
+    source(path)
+    checkpoints = None if resume is None else Checkpoints(path, identity)
+    count_statuses = status_counter()
+    pictures = folder.path / "figures"
+    with folder, stop_at_interrupt() as stopped, progress_bar(title, len(sequence)) as advance:
+        for record in records:
+            folder.append(record)
+            advance(count_statuses(record))
+        if checkpoints:
+            checkpoints.write(state)
+
+        def on_record(record: Record) -> None:
+            folder.append(record)
+            records.append(record)
+            advance(count_statuses(record))
+            if checkpoints:
+                checkpoints.offer(state)
+
+        picks = {number - done_before for number in _spread_out(len(sequence))}
+        frames = watch(_until(stopped, _from(sequence, done_before)), method, picks, snapshots)
+        if viewer:
+            frames = viewer.stream(frames, method, records, sequence.groundtruth)
+        frames = draw_frames(frames, method, records, pictures) if figures else frames
+        done = odometry.run(method, frames, on_record, tuple(records))
+        if checkpoints:  # an interrupted run goes on here; a finished one drops it at the end
+            checkpoints.write(state)
+        evaluation, rows = _evaluated(done, method, sequence.groundtruth)
+        if figures and records:
+            save(pictures / "trajectory.png", _from_above(done, evaluation, sequence.groundtruth))
+        summary = folder.finish(done, method, evaluation, with_map=map_kind != "none")
+    if map_kind == "mesh" and done.records:
+        rows.append(("mesh", fuse_mesh(sequence, believable(method.trajectory(), done), path / "mesh.ply")))
+    if done.records:
+        page = run_page(folder.path, title, sequence.groundtruth, snapshots)
+        (folder.path / "report.html").write_text(page, encoding="utf-8")
+    if checkpoints and not stopped:
+        checkpoints.remove()
+    looked_at = f"{title}, interrupted" if stopped else title
+    again = [("go on with", "the same command and --resume")] if checkpoints and stopped else []
+    results = [("results in", str(folder.path)), ("look at", str(folder.path / "report.html"))]
+    show_table(looked_at, [*run_rows(done, summary), *rows, *again, *(results if done.records else results[:1])])
+    return INTERRUPTED if stopped else 0
+
+
+def _from(sequence: datasets.RgbdSequence, first: int) -> Iterable[RgbdFrame | BrokenFrame]:
+    """The frames from number `first` on, decoded ahead where the recording allows it."""
+    if isinstance(sequence, datasets.RecordedSequence):
+        return sequence.frames(first)
+    return (sequence.read(number) for number in range(first, len(sequence))) if first else sequence
+
+
+def _evaluated(done: Run, method: Odometry, groundtruth: Trajectory | None) -> tuple[Evaluation | None, Rows]:
+    """The evaluation of a run's causal poses, and the rows to show; why not, where it cannot be evaluated."""
+    if groundtruth is None or not done.records:
+        return None, []
+    try:
+        evaluation = evaluate_trajectory(done.trajectory(), groundtruth, measurements(done))
+        rows = evaluation_rows(evaluation)
+        refined = method.trajectory()
+        if is_refined(refined, done):
+            after = evaluate_trajectory(refined, groundtruth)
+            rpe = f", RPE {after.rpe.rmse_m_per_s:.4f} m/s" if after.rpe else ""
+            rows.append(("refined", f"ATE {after.ate.rmse_m:.4f} m{rpe}"))
+        return evaluation, rows
+    except IdRgbdoError as error:
+        return None, [("not evaluated", str(error))]
+
+
+def _spread_out(frames: int, count: int = 6) -> set[int]:
+    """Numbers of frames for pictures, the first one left out, since nothing is tracked in it."""
+    return {round((frames - 1) * (k + 1) / (count + 1)) for k in range(count)} - {0}
+
+
+def _from_above(done: Run, evaluation: Evaluation | None, groundtruth: Trajectory | None) -> Picture:
+    """The causal poses, with the reference where it could be laid over them."""
+    reference = None
+    if evaluation is not None and groundtruth is not None:
+        reference = transform(inverse(evaluation.ate.T_reference_estimate), groundtruth.positions)
+    keyframes = [number for number, record in enumerate(done.records) if record.result.keyframe]
+    lost = [number for number, status in enumerate(done.statuses) if status is Status.LOST]
+    return draw_trajectory(done.trajectory().T_world_cam, keyframes, lost, reference)
+
+
+@contextmanager
+def stop_at_interrupt() -> Iterator[list[int]]:
+    """The first Ctrl-C only appends to the list, so that no frame is torn by it; the second one raises as usual."""
+    stopped: list[int] = []
+
+    def stop(number: int, _: FrameType | None) -> None:
+        stopped.append(number)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield stopped
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _until(stopped: list[int], frames: Iterable[RgbdFrame | BrokenFrame]) -> Iterator[RgbdFrame | BrokenFrame]:
+    for frame in frames:
+        if stopped:
+            return
+        yield frame

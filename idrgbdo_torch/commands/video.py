@@ -1,0 +1,72 @@
+"""`idrgbdo video`: a run or a recording as a film."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from statistics import median
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from .. import configfile
+from ..config import Config
+from ..errors import IdRgbdoError
+from .input import Input, Settings, open_input
+
+FPS = 30.0  # where the recording does not say
+
+
+@dataclass(frozen=True)
+class VideoCommand:
+    """Film a run or a recording: every frame with its tracked points, coloured by what each is worth."""
+
+    source: Positional[Path]  # the folder of a run, which is tracked again; or a recording, as for `idrgbdo run`
+    settings: Settings = field(default_factory=Config)
+    input: Annotated[Input, arg(name="")] = field(default_factory=Input)
+    config: Path | None = None  # TOML; its values are the defaults of the flags
+    out: Path | None = None  # .mp4 or .gif; else video.mp4 in the run's folder, or in runs/<sequence>
+    fps: configfile.Positive | None = None  # frames per second; else the recording's own
+    width: configfile.Count | None = None  # px; else as large as the images, 480 for a gif
+
+
+def video(command: VideoCommand) -> int:
+    """Track a recording, or that of a run again with the same settings, and write what is seen."""
+    from ..report.terminal import progress_bar, show_table
+    from ..report.video import pictures, write_video
+    from ..tracker.id_rgbdo import IdRgbdo
+
+    sequence, settings, options, out = command.source, command.settings, command.input, command.out
+    if (sequence / "frames.csv").exists():
+        if settings != Config():
+            raise IdRgbdoError("settings: a run is filmed with its own; leave them out, or name the recording instead")
+        settings = configfile.load(command.source / "config.toml", Config())
+        out = out or command.source / "video.mp4"
+        sequence, options = _input_of(command.source, options)
+    recording = open_input(sequence, options)
+    out = out or Path("runs") / recording.name / "video.mp4"
+    gaps = [b - a for a, b in zip(recording.timestamps, recording.timestamps[1:], strict=False) if b > a]
+    fps = command.fps or (min(1 / median(gaps), 60.0) if gaps else FPS)
+    with progress_bar(f"filming {recording.name}", len(recording)) as advance:
+        shots = pictures(recording, IdRgbdo(settings), lambda result: advance(result.status.value))
+        count = write_video(out, shots, fps, command.width)
+    if not count:
+        raise IdRgbdoError(f"source: no frame of '{sequence}' could be read; try idrgbdo check")
+    show_table(recording.name, [("frames", str(count)), ("frames per second", f"{fps:.1f}"), ("video", str(out))])
+    return 0
+
+
+def _input_of(run: Path, options: Input) -> tuple[Path, Input]:
+    """What a run tracked and how it was read, up to the last frame that it tracked."""
+    from ..runs.source import recall
+    from ..trajectory import read_tum
+
+    sequence, values = recall(run)
+    for name in ("camera", "associations"):
+        values[name] = Path(values[name]) if values.get(name) else None
+    try:
+        return sequence, replace(options, **values | {"max_frames": max(1, len(read_tum(run / "trajectory.txt")))})
+    except TypeError as error:
+        raise IdRgbdoError(
+            f"source: what '{run}' tracked is of another version ({error}); name the recording"
+        ) from error

@@ -1,0 +1,47 @@
+"""How far points agree with a pose, in torch: twin of kernels.agreement."""
+
+from __future__ import annotations
+
+import torch
+
+from ..measurement import Noise, Points
+from .camera import Pinhole, backproject, project
+from .convert import Array, chosen, inverse_of_depth, pinhole
+from .image import sample_surface, sample_with_gradient
+from .photometric import PATTERN_1, warp
+from .points import at_level
+from .se3 import transform
+
+
+def verify(
+    image: Array, depth: Array, cam: Array, level: int, points: Points, patch: Array, index: Array, T: Array,
+    affine: Array, noise: Noise, limit: float,
+) -> tuple[int, int, int, int]:  # fmt: skip
+    """Twin of kernels.agreement.verify: seen, agreeing in brightness, with depth, agreeing in depth."""
+    camera = pinhole(cam, image)
+    some = chosen(points, index)
+    uv, d = some.uv[0], some.inverse_depth[0]
+    warped = warp(camera, at_level(uv, level), d, torch.from_numpy(T), PATTERN_1)
+    value, _, valid = sample_with_gradient(torch.from_numpy(image), warped.centre)
+    seen = warped.valid & valid
+    a, b = torch.from_numpy(affine)
+    off = value - a.exp() * torch.from_numpy(patch)[torch.from_numpy(index), 0] - b
+    bright = seen & (off.abs() < limit)
+    at_full = (warped.centre + 0.5) * 2.0**level - 0.5
+    measured, _, on_surface = sample_surface(inverse_of_depth(depth), at_full, 0.1)
+    rho = 1 / torch.where(warped.valid, warped.P[:, 2], 1.0)
+    with_depth = seen & on_surface
+    tolerance = 4 * (noise.var_depth + some.variance[0]).sqrt() + 0.02 * rho
+    near = with_depth & ((measured - rho).abs() < tolerance)
+    return int(seen.sum()), int(bright.sum()), int(with_depth.sum()), int(near.sum())
+
+
+def displacement(cam: Array, points: Points, index: Array, T_a: Array, T_b: Array) -> float:
+    """Twin of kernels.agreement.displacement: mean distance in px of points at two poses, inf if none is in front."""
+    fx, fy, cx, cy = (float(x) for x in cam)
+    camera = Pinhole(width=1, height=1, fx=fx, fy=fy, cx=cx, cy=cy)  # only the projection is asked for
+    some = chosen(points, index)
+    P = backproject(camera, some.uv[0], some.inverse_depth[0])
+    (uv_a, front_a), (uv_b, front_b) = (project(camera, transform(torch.from_numpy(T), P)) for T in (T_a, T_b))
+    apart = (uv_a - uv_b).norm(dim=-1)[front_a & front_b]
+    return float(apart.mean()) if len(apart) else float("inf")

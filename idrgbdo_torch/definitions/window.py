@@ -1,0 +1,161 @@
+"""Linearisation of the sliding window in torch: twin of kernels.bundle. All pairs of keyframes at once."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ..measurement import Noise, WindowPoints
+from .convert import Array, noise_of_arrays, pinhole
+from .image import sample_surface
+from .linearise import OTHER_SURFACE, gradient_in_target
+from .photometric import (
+    PATTERN_1,
+    Warp,
+    distortion_weight,
+    linearize,
+    photometric_variance,
+    projective_distortion,
+    residual_variance,
+    warp,
+)
+from .points import TRACKING_PATTERN
+from .se3 import adjoint, inverse
+from .solver import huber_weight, robust_cost
+
+STEP = 8  # numbers a keyframe: [v, w], a, b
+
+
+def linearise_window(
+    images: Array, depths: Array, slots: Array, cam: Array, T_cam_world: Array, T_linear: Array, affine: Array,
+    inv_depth: Array, points: WindowPoints, hosts: Array, limit: float, noise: Noise,
+    H: Array, b: Array, Hd: Array, cross: Array, bd: Array, rms: Array,
+) -> float:  # fmt: skip
+    """Twin of kernels.bundle.linearise_window: fills H, b, Hd, cross, bd, rms, returns the energy.
+
+    Inside, dimensions are (target, host, point, pixel); the state of one residual is [v, w, a, b, d].
+    """
+    K, N = inv_depth.shape
+    camera = pinhole(cam, images[0])
+    at = torch.from_numpy(slots)
+    gray, z = torch.from_numpy(images)[at], torch.from_numpy(depths)[at].double()
+    inverse_depth = torch.where(z > 0, 1 / z, 0.0)  # (K, H, W)
+    uv, patch, gradient, measured, variance, valid = (torch.from_numpy(x) for x in points)
+    takes_part = valid & torch.from_numpy(hosts)[:, None]  # (K, N)
+    state = torch.from_numpy(inv_depth)
+    usable = takes_part & (state > 1e-3)
+    d = torch.where(usable, state, 1.0).expand(K, K, N)
+    pixel = uv.expand(K, K, N, 2)
+    brightness = torch.from_numpy(affine)
+    gain = (brightness[:, None, 0] - brightness[None, :, 0]).exp()  # (K, K)
+
+    T = _relative(torch.from_numpy(T_cam_world))  # (K, K, 1, 4, 4)
+    now = warp(camera, pixel, d, T, TRACKING_PATTERN[: patch.shape[-1]])
+    linear = warp(camera, pixel, d, _relative(torch.from_numpy(T_linear)), PATTERN_1)
+    relative = torch.stack([gain.log(), brightness[:, None, 1].expand(K, K)], dim=-1)[:, :, None]  # (K, K, 1, 2)
+    term = linearize(gray, now, patch.double() - brightness[:, 1, None, None], relative)
+
+    sigma = noise_of_arrays(noise)
+    moved = gradient_in_target(camera, gradient.double(), d, now, T)
+    P = torch.where(now.valid[..., None], now.P, 1.0)
+    h, front = distortion_weight(projective_distortion(d, P, T), noise.c_h)
+    # inverse depth is a state here: its noise must not count a second time
+    phi = photometric_variance(
+        moved, torch.zeros_like(now.duv_dd), 0.0, mode=sigma.mode, shared=sigma.shared,
+        sigma_intensity=float(sigma.sigma_intensity), sigma_pixel=float(sigma.sigma_pixel),
+    )  # fmt: skip
+    weight = 1 / residual_variance(h, phi)  # (K, K, N, P)
+    other = ~torch.eye(K, dtype=torch.bool)[..., None]
+    seen = term.valid & front & usable & other
+    s = term.r * weight.sqrt()
+    size = s.square().mean(-1).sqrt()
+    kept = seen & (size <= limit)
+    g = (1 - noise.gradient_blend) * term.gradient + noise.gradient_blend * moved
+    J = torch.cat([g @ linear.duv_dxi, term.dr_daffine, (g @ linear.duv_dd[..., None])], dim=-1)  # (K, K, N, P, 9)
+    w = huber_weight(s, noise.huber) * weight * kept[..., None]
+    L, l = _normal(J, term.r, w)
+    energy = (2 * robust_cost(s, noise.huber) * kept[..., None]).sum()
+    if bool((seen & ~kept).any()):
+        energy = energy + s.shape[-1] * limit**2 * (seen & ~kept).sum()
+
+    if noise.use_depth:
+        rows, r, w, cost = _depth_rows(inverse_depth, now, linear, kept, noise)
+        more = _normal(rows[..., None, :], r[..., None], w[..., None])
+        L, l, energy = L + more[0], l + more[1], energy + cost
+
+    own = torch.where(takes_part, state - measured, 0.0)
+    own_weight = torch.where(takes_part, 1 / variance, 0.0)
+    energy = energy + (own_weight * own.square()).sum()
+    Hd[:] = (L[..., 8, 8].sum(0) + own_weight).numpy()
+    bd[:] = (l[..., 8].sum(0) - own_weight * own).numpy()
+    rms[:] = torch.where(seen, size, -1.0).permute(1, 2, 0).numpy()
+    _fill(H, b, cross, L, l, _chain(torch.from_numpy(T_linear), gain))
+    return float(energy)
+
+
+def eliminate_depths(H: Array, b: Array, Hd: Array, cross: Array, bd: Array) -> tuple[Array, Array]:
+    """Twin of kernels.bundle.eliminate_depths: the Schur complement of the diagonal block of inverse depths."""
+    known = torch.from_numpy(Hd).flatten()
+    rows = torch.from_numpy(cross).flatten(0, 1)  # (K N, 8 K)
+    share = torch.where((known > 0)[:, None], rows / torch.where(known > 0, known, 1.0)[:, None], 0.0)
+    out = torch.from_numpy(H) - share.mT @ rows
+    rhs = torch.from_numpy(b) - share.mT @ torch.from_numpy(bd).flatten()
+    return (0.5 * (out + out.mT)).numpy(), rhs.numpy()
+
+
+def _relative(T_cam_world: Tensor) -> Tensor:
+    """T_target_host (K, K, 1, 4, 4) of all pairs."""
+    return (T_cam_world[:, None] @ inverse(T_cam_world)[None])[:, :, None]
+
+
+def _normal(J: Tensor, r: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+    """A point's own L (..., 9, 9) and l (..., 9) from its rows J (..., P, 9)."""
+    JtW = J.mT * weight[..., None, :]
+    return JtW @ J, -(JtW @ r[..., None])[..., 0]
+
+
+def _depth_rows(
+    inverse_depth: Tensor, now: Warp, linear: Warp, kept: Tensor, noise: Noise
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """J (K, K, N, 9), r, weight (K, K, N) and cost of measured against warped inverse depth, linear about `linear`."""
+    measured, g, on_surface = sample_surface(inverse_depth, now.centre)
+    on = kept & on_surface
+    rho = 1 / torch.where(now.valid, now.P[..., 2], 1.0)
+    rho_0 = 1 / torch.where(linear.valid, linear.P[..., 2], 1.0)
+    r = torch.where(on, measured - rho, 0.0)
+    weight = 1 / (noise.var_depth + noise.var_pixel * g.square().sum(-1))
+    s = r * weight.sqrt()
+    past = OTHER_SURFACE * noise.huber
+    slope = (rho_0 * rho_0)[..., None]
+    dr_dxi = (g[..., None, :] @ linear.duv_dxi)[..., 0, :] + slope * linear.dP_dxi[..., 2, :]
+    dr_dd = (g * linear.duv_dd).sum(-1, keepdim=True) + slope * linear.dP_dd[..., 2:]
+    J = torch.cat([dr_dxi, torch.zeros_like(dr_dxi[..., :2]), dr_dd], dim=-1)
+    weight = weight * huber_weight(s, noise.huber, past) * on
+    return J, r, weight, (2 * robust_cost(s, noise.huber, past) * on).sum()
+
+
+def _chain(T_linear: Tensor, gain: Tensor) -> Tensor:
+    """(K, K, 8, 8): increments of the relative state by those of the host."""
+    K = len(T_linear)
+    chain = torch.zeros(K, K, STEP, STEP, dtype=T_linear.dtype)
+    chain[..., :6, :6] = -adjoint(_relative(T_linear)[:, :, 0])
+    chain[..., 6, 6] = -1.0
+    chain[..., 7, 7] = -gain
+    return chain
+
+
+def _fill(H: Array, b: Array, cross: Array, L: Tensor, l: Tensor, chain: Tensor) -> None:
+    """Sum the points' systems (target, host, N, ...) into those of the keyframes."""
+    K, N = L.shape[1:3]
+    pair, pair_b = L[..., :8, :8].sum(2), l[..., :8].sum(2)  # (target, host, 8, 8)
+    across = pair @ chain
+    blocks = across.permute(0, 2, 1, 3) + across.permute(1, 3, 0, 2)  # (K, 8, K, 8), both triangles
+    sides = pair.sum(1) + (chain.mT @ across).sum(0)
+    k = torch.arange(K)
+    blocks[k, :, k] += sides
+    H[:] = blocks.reshape(STEP * K, STEP * K).numpy()
+    b[:] = (pair_b.sum(1) + (chain.mT @ pair_b[..., None])[..., 0].sum(0)).flatten().numpy()
+    by_target = L[..., 8, :8]  # (target, host, N, 8)
+    full = by_target.permute(1, 2, 0, 3).clone()  # (host, N, target, 8)
+    full[k, :, k] += (by_target[..., None, :] @ chain[:, :, None])[..., 0, :].sum(0)
+    cross[:] = full.reshape(K, N, STEP * K).numpy()

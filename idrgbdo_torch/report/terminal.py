@@ -1,0 +1,99 @@
+"""What the command shows: a progress bar while it works, a table at the end. Silent where nobody watches."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from ..evaluation import Evaluation
+from ..odometry import Record, Run, Status
+
+Rows = list[tuple[str, str]]
+COLORS = {Status.OK: "green", Status.WEAK: "yellow", Status.LOST: "red"}
+
+
+@contextmanager
+def progress_bar(title: str, total: int) -> Iterator[Callable[[str], None]]:
+    """A bar with frames per second and remaining time, on a terminal only; call the function once a frame."""
+    if not sys.stdout.isatty():
+        yield lambda note: None
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    details = (TextColumn("{task.fields[fps]:.0f} fps {task.fields[note]}"), TimeRemainingColumn())
+    with Progress(*columns, *details) as progress:
+        task = progress.add_task(title, total=total, fps=0.0, note="")
+        begin, done = time.monotonic(), 0
+
+        def advance(note: str) -> None:
+            nonlocal done
+            done += 1
+            progress.update(task, advance=1, fps=done / max(time.monotonic() - begin, 1e-9), note=note)
+
+        yield advance
+
+
+def status_counter() -> Callable[[Record], str]:
+    """A function that counts the statuses of the records it is shown and says how many there were of each."""
+    counts: Counter[Status] = Counter()
+
+    def count(record: Record) -> str:
+        counts[record.result.status] += 1
+        return " ".join(f"[{COLORS[status]}]{counts[status]} {status.value}[/]" for status in Status if counts[status])
+
+    return count
+
+
+def show_table(title: str, rows: Rows) -> None:
+    """Names and values: a table on a terminal, else plain lines."""
+    if not sys.stdout.isatty():
+        width = max(len(name) for name, _ in rows)
+        print(title, *(f"  {name:<{width}}  {value}" for name, value in rows), sep="\n")
+        return
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=title, title_justify="left", show_header=False)
+    for name, value in rows:
+        table.add_row(name, Text(value))
+    Console().print(table)
+
+
+def run_rows(run: Run, summary: dict[str, Any]) -> Rows:
+    """The table of a run without its evaluation."""
+    timing, fps = summary["timing_ms"], summary["frames_per_second"]
+    weak = run.statuses.count(Status.WEAK)
+    reasons = Counter(record.result.reason for record in run.records if record.result.status is Status.LOST)
+    rows = [
+        ("frames", str(summary["frames"])),
+        ("tracked", f"{summary['tracked']}" + (f" ({weak} of them weak)" if weak else "")),
+        ("lost", f"{summary['lost']}" + "".join(f" ({count} x {why})" for why, count in reasons.most_common(1))),
+        ("keyframes", str(summary["keyframes"])),
+        ("path length", f"{summary['path_length_m']:.3f} m"),
+    ]
+    if fps is not None:
+        median, p95, decode = timing["track_median"], timing["track_p95"], timing["decode_median"]
+        rows.append(("time per frame", f"{median:.1f} ms median, {p95:.1f} ms 95 % (waiting another {decode:.1f} ms)"))
+        rows.append(("speed", f"{fps:.1f} frames per second"))
+    return rows
+
+
+def evaluation_rows(evaluation: Evaluation) -> Rows:
+    """The errors with their units, and what they were measured on."""
+    rpe, k2fe = evaluation.rpe, evaluation.k2fe
+    rows = [("ATE", f"{evaluation.ate.rmse_m:.4f} m RMSE after SE(3) alignment without scale")]
+    if rpe is not None:
+        rows.append(("RPE", f"{rpe.rmse_m_per_s:.4f} m/s RMSE over {len(rpe.errors_m)} pairs {rpe.delta_s:g} s apart"))
+    else:
+        rows.append(("RPE", "none: no two poses 1 s apart"))
+    if k2fe is not None:
+        rows.append(
+            ("K2FE", f"{1000 * k2fe.mean_m:.3f} mm mean, {k2fe.sum_m:.4f} m sum over {len(k2fe.errors_m)} frames")
+        )
+    return [*rows, ("matched poses", str(evaluation.matched_poses))]

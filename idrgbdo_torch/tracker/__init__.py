@@ -1,0 +1,1 @@
+"""What decides: which points, which pose, which keyframe, whether to believe it."""

@@ -1,0 +1,60 @@
+"""Candidate points of a keyframe (section 4.1, steps 1 and 2): high gradient, on a grid, Canny edges first."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from ..config import Config
+from ..frame import Frame
+from .backends import FUSED, Backend, backend_named
+from .selection import grid_cells
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+BLOCK = 32  # px, region of the adaptive threshold (DSO)
+THRESHOLD_OFFSET = 7.0  # gray levels above the region's median gradient (DSO)
+CANNY = (50, 200)  # gray levels (RGBDTAM)
+PLANE_RADIUS = 3  # px, neighbourhood that a point's inverse depth is fitted to
+BORDER = 4  # px, room for the patch and its gradients
+EVERYWHERE = 8  # px, side of a grid cell in mode "inf": as good as no grid, without patches on top of each other
+
+
+def inverse_depth_sigma(config: Config) -> float:
+    """Eq. 10 as a number (camera.inverse_depth_sigma is its home)."""
+    return config.noise.sigma_disparity / config.noise.focal_baseline
+
+
+def extract_candidates(frame: Frame, config: Config, rng: Generator) -> tuple[Array, Array, Index]:
+    """uv (N, 2), inverse depth (N,), tier (N,) of the pixels worth choosing from; rand takes any pixel with depth."""
+    computing, mode = backend_named(config.backend).candidates, config.selection.mode
+    sigma = inverse_depth_sigma(config)
+    height, width = frame.depth.shape
+    if mode == "rand":
+        tries = 2 * config.candidates
+        u = rng.integers(BORDER, width - BORDER, tries)
+        v = rng.integers(BORDER, height - BORDER, tries)
+        uv: Array = rng.permutation(np.unique(np.column_stack([u, v]), axis=0)).astype(np.float64)
+        valid, inv_depth = computing.planes_at(frame.depth, uv, PLANE_RADIUS, sigma)
+        keep = np.flatnonzero(valid)[: config.candidates]
+        return uv[keep], inv_depth[keep], np.zeros(len(keep), dtype=np.int64)
+    gradient2 = computing.gradient_squared(frame.images[0])
+    thresholds = computing.block_thresholds(gradient2, BLOCK, THRESHOLD_OFFSET)
+    edges = cv2.Canny(frame.images[0].astype(np.uint8), *CANNY, L2gradient=True)
+    grid = max(EVERYWHERE, round(float(np.sqrt(width * height / config.candidates))))
+    cell = EVERYWHERE if mode == "inf" else grid
+    scores = computing.candidate_scores(gradient2, thresholds, BLOCK, edges, frame.depth)
+    uv, inv_depth, tier = computing.grid_candidates(scores, frame.depth, cell, BORDER, PLANE_RADIUS, sigma)
+    return uv, inv_depth, tier
+
+
+def spread_out(uv: Array, count: int, width: int, height: int, backend: Backend = FUSED) -> Index:
+    """About `count` indices spread evenly over the image, always the same ones."""
+    if len(uv) <= count:
+        return np.arange(len(uv))
+    order = np.random.default_rng(0).permutation(len(uv))
+    chosen: Index = backend.candidates.first_of_cells(grid_cells(uv, count, width, height), order, count)
+    return chosen

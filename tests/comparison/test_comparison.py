@@ -1,0 +1,197 @@
+"""compare(): every outcome once, failures as reasons, figures side by side."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from comparison_methods import METHODS, other_settings
+from recordings import write_recording
+
+from idrgbdo_torch.commands.cli import main
+from idrgbdo_torch.comparison import Comparison, External, Outcome, Source, compare, parse_external
+from idrgbdo_torch.comparison.outcome import RESULTS, append_outcome, read_outcomes
+from idrgbdo_torch.comparison.table import tables, to_csv, to_json, to_markdown
+from idrgbdo_torch.errors import IdRgbdoError
+
+ROOT = Path(__file__).parents[2]
+MakeRecording = Callable[..., Path]
+
+
+def lines(out: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in (out / RESULTS).read_text().splitlines()]
+
+
+@pytest.fixture
+def recording(make_recording: MakeRecording) -> Path:
+    return make_recording("walk", frames=40)
+
+
+@pytest.fixture(scope="module")
+def comparison(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
+    folder = tmp_path_factory.mktemp("comparison")
+    recording = write_recording(folder, "walk", frames=40)
+    external = External("outside", recording / "groundtruth.txt")
+    return compare(METHODS, [Source(recording)], folder / "out", seeds=2, externals=[external])
+
+
+def test_every_outcome_stands_in_its_row(comparison: Comparison) -> None:
+    rows = {row.method: row for row in comparison.rows("walk")}
+    assert list(rows) == [*METHODS, "outside"]
+
+    walks = rows["walks"]
+    assert [outcome.seed for outcome in walks.outcomes] == [0, 1]
+    assert walks.outcomes[0].ate_rmse_m != walks.outcomes[1].ate_rmse_m
+    ate = walks.spread("ate_rmse_m")
+    assert ate is not None and ate.count == 2 and ate.worst > ate.mean and ate.std > 0
+    assert walks.track_ms is not None and 0 < walks.track_ms < 1000
+    assert walks.peak_memory_mb is not None and 50 < walks.peak_memory_mb < 5000
+    assert walks.spread("k2fe_mean_m") is None
+
+    assert rows["loses"].lost == 1 and rows["loses"].reasons == {"dark": 1}
+    assert rows["keyframes"].spread("k2fe_mean_m") is not None
+    assert rows["raises"].error == "RuntimeError: the third frame was too much"
+    assert "signal 9" in rows["killed"].error
+    assert rows["outside"].outcomes[0].ate_rmse_m == pytest.approx(0, abs=1e-9)
+    assert rows["outside"].track_ms is None
+    fastest = min(rows[name].track_ms or 9e9 for name in ("walks", "loses", "keyframes"))
+    assert rows["loses"].speedup == pytest.approx(fastest / (rows["loses"].track_ms or 0))
+
+
+def test_agreement_needs_no_reference(comparison: Comparison) -> None:
+    agreement = comparison.agreement("walk")
+    assert agreement.methods == ("walks", "loses", "keyframes", "outside")
+    assert agreement.of["loses", "keyframes"] == pytest.approx(0, abs=1e-6)
+    assert agreement.of["walks", "outside"] == agreement.of["outside", "walks"]
+    assert (agreement.of["walks", "outside"] or 0) > 0.01
+
+
+def test_tables_in_every_form(comparison: Comparison) -> None:
+    titles = [table.title for table in tables(comparison)]
+    assert titles[0] == "walk" and "needs no reference" in titles[1]
+    markdown = to_markdown(comparison)
+    for name in (*METHODS, "outside"):
+        assert f"| {name} |" in markdown
+    assert "1 x dark" in markdown and "torch 2" in markdown and "±" in markdown
+    cells = list(csv.DictReader(io.StringIO(to_csv(comparison))))
+    assert [line["method"] for line in cells] == [*METHODS, "outside"]
+    assert float(cells[0]["ate_rmse_m_worst"]) >= float(cells[0]["ate_rmse_m_mean"])
+    assert json.loads(to_json(comparison))["agreement"][0]["sequence"] == "walk"
+
+
+def test_what_is_done_is_not_repeated(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    methods = {name: METHODS[name] for name in ("loses", "raises")}
+    first = compare(methods, [Source(recording)], out)
+    ran: list[str] = []
+
+    def again(**options: bool) -> Comparison:
+        ran.clear()
+        return compare(methods, [Source(recording)], out, on_progress=lambda p: ran.append(p.method), **options)
+
+    second = again()
+    assert set(ran) == {"raises"}  # what broke is tried again
+    assert second.outcomes[0] == first.outcomes[0]
+    methods["loses"] = replace(methods["loses"], settings=other_settings)
+    again()
+    assert "loses" in ran  # other settings, other result
+    again(overwrite=True)
+    assert "loses" in ran
+    compare(methods, [Source(recording, max_frames=39)], out, on_progress=lambda p: ran.append(p.sequence))
+    assert ran[-1] == "walk"
+    assert len(read_outcomes(out)) == 6 - 1  # one of the seven lines replaced an equal one, another was the retry
+
+
+def test_a_half_written_line_is_no_outcome(tmp_path: Path) -> None:
+    outcome = Outcome("a", "s", 0, "c", {"torch": "1"}, frames=3)
+    append_outcome(tmp_path, outcome)
+    with (tmp_path / RESULTS).open("a") as file:
+        file.write('{"method": "b", "seq')
+    append_outcome(tmp_path, replace(outcome, method="c"))
+    assert [found.method for found in read_outcomes(tmp_path).values()] == ["a", "c"]
+
+
+def test_killed_half_way_it_goes_on_from_there(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    arguments = ["compare", str(recording), "--add", str(ROOT / "tests" / "comparison_methods.py"), "--out", str(out)]
+    arguments += ["--methods", "loses,keyframes,walks", "--seeds", "2"]
+    process = subprocess.Popen([sys.executable, "-m", "idrgbdo_torch", *arguments], cwd=ROOT)
+    deadline = time.monotonic() + 120
+    while not (out / RESULTS).exists() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    before = lines(out)
+    assert 1 <= len(before) < 4
+    assert main(arguments) == 0
+    after = lines(out)
+    assert after[: len(before)] == before
+    assert sorted((line["method"], line["seed"]) for line in after) == [
+        ("keyframes", 0),
+        ("loses", 0),
+        ("walks", 0),
+        ("walks", 1),
+    ]
+
+
+def test_the_documented_example_runs(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (ROOT / "docs" / "comparison.md").read_text()
+    code = text.split("```python\n")[1].split("```")[0]
+    (tmp_path / "mine.py").write_text(code)
+    monkeypatch.chdir(tmp_path)
+    assert main(["compare", str(recording), "--add", "mine.py", "--methods", "mine", "--out", "cmp"]) == 0
+    assert "| mine |" in capsys.readouterr().out
+    assert "40/40 (39 weak)" in (tmp_path / "cmp" / "comparison.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--methods", "ours-42"], "did you mean 'ours-24'"),
+        (["--add", "nothing.py"], "nothing.py"),
+        (["--external", "dvo"], "NAME=FILE"),
+        (["--external", "dvo@there=x.txt"], "no sequence 'there'"),
+        (["--methods", "constant-velocity", "--external", "dvo=missing.txt"], "missing.txt"),
+    ],
+)
+def test_mistakes_are_one_line(
+    arguments: list[str], words: str, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["compare", str(recording), "--out", str(tmp_path / "out"), *arguments]) == 1
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1
+
+
+def test_the_methods_can_be_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", "--methods", "list"]) == 0
+    assert "after ORB-SLAM2" in capsys.readouterr().out
+
+
+def test_an_external_trajectory_finds_its_sequence(make_recording: MakeRecording, tmp_path: Path) -> None:
+    here, there = make_recording("here"), make_recording("there")
+    sources = [Source(here), Source(there)]
+    found = compare({}, sources, tmp_path / "out", externals=[External("truth", there / "groundtruth.txt")])
+    assert [(o.method, o.sequence) for o in found.outcomes] == [("truth", "there")]
+    elsewhere = tmp_path / "elsewhere.txt"
+    elsewhere.write_text((here / "groundtruth.txt").read_text())
+    with pytest.raises(IdRgbdoError, match="which sequence"):
+        compare({}, sources, tmp_path / "out", externals=[External("truth", elsewhere)])
+    named = compare({}, sources, tmp_path / "out", externals=[parse_external(f"truth@here={elsewhere}")])
+    assert named.outcomes[0].sequence == "here"
+
+
+def test_two_sequences_of_one_name_are_refused(make_recording: MakeRecording, tmp_path: Path) -> None:
+    folder = make_recording("same")
+    with pytest.raises(IdRgbdoError, match="twice"):
+        compare({}, [Source(folder), Source(folder)], tmp_path / "out")

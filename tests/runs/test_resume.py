@@ -1,0 +1,202 @@
+"""A run that was killed goes on where it was, and ends the same; another run's checkpoint is refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from rendered import Film
+
+from idrgbdo_torch.commands.cli import main
+from idrgbdo_torch.config import Config
+from idrgbdo_torch.errors import IdRgbdoError
+from idrgbdo_torch.frame import BrokenFrame
+from idrgbdo_torch.odometry import Record, run
+from idrgbdo_torch.runs import checkpoint
+from idrgbdo_torch.runs.checkpoint import Checkpoints, Identity, State
+from idrgbdo_torch.synthetic import SynthConfig, synth
+from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
+from idrgbdo_torch.trajectory import read_tum
+
+FRAMES, KILLED_AT = 30, 18
+# the command in a process of its own; it writes a checkpoint after every tenth frame and kills itself
+KILLED = f"""
+import os, signal, sys
+from idrgbdo_torch import checkpoint, odometry
+from idrgbdo_torch.cli import main
+
+class Often(checkpoint.Checkpoints):
+    def offer(self, state):
+        if len(state.records) % 10 == 0:
+            self.write(state)
+        if len(state.records) == {KILLED_AT}:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+from idrgbdo_torch import commands
+commands.Checkpoints = Often
+main(sys.argv[1:])
+"""
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small desk as a folder."""
+    folder = tmp_path_factory.mktemp("recordings") / "small"
+    synth(SynthConfig(frames=FRAMES, width=240, height=180, fx=197, fy=197, cx=119.5, cy=89.5), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def killed_once(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run that was killed at frame 18, its last checkpoint after frame 10."""
+    out = tmp_path_factory.mktemp("runs") / "killed"
+    done = subprocess.run([sys.executable, "-c", KILLED, "run", str(recording), "--out", str(out)], capture_output=True)
+    assert done.returncode == -signal.SIGKILL, done.stderr.decode()
+    assert len(read_tum(out / "trajectory.txt")) == KILLED_AT
+    return out
+
+
+@pytest.fixture
+def killed(killed_once: Path, tmp_path: Path) -> Path:
+    """A copy of it."""
+    return shutil.copytree(killed_once, tmp_path / "killed")
+
+
+def test_a_killed_run_ends_as_if_nothing_had_happened(recording: Path, killed: Path, tmp_path: Path) -> None:
+    whole = tmp_path / "whole"
+    assert main(["run", str(recording), "--out", str(whole)]) == 0
+    assert main(["run", str(recording), "--out", str(killed), "--resume"]) == 0
+    for name in ("trajectory.txt", "trajectory_refined.txt", "keyframes.txt"):
+        one, other = read_tum(whole / name), read_tum(killed / name)
+        torch.testing.assert_close(other.T_world_cam, one.T_world_cam, rtol=0, atol=1e-7)
+        assert other.timestamps.equal(one.timestamps)
+    assert (killed / "map.ply").stat().st_size == (whole / "map.ply").stat().st_size
+    first, second = (json.loads((folder / "summary.json").read_text()) for folder in (whole, killed))
+    assert second["frames"] == FRAMES
+    errors = [summary["evaluation"]["ate_rmse_m"] for summary in (first, second)]
+    assert errors[1] == pytest.approx(errors[0], rel=1e-3)
+    assert len((killed / "frames.csv").read_text().splitlines()) == FRAMES + 1
+    assert not (killed / checkpoint.NAME).exists()
+    assert (killed / "report.html").exists()
+
+
+def test_what_was_found_out_before_is_not_done_again(
+    recording: Path, killed: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", str(recording), "--out", str(killed), "--resume"]) == 0
+    assert f"going on after frame 10 of {FRAMES}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("flags", "what"),
+    [
+        (["--selection.points", "30"], "another settings (points = 24, points = 30)"),
+        (["--max-frames", "20"], "another frames (30, now 20)"),
+        (["--every", "2"], "another frames (30, now 15)"),
+        (["--camera", "CAMERA"], "another camera"),
+    ],
+)
+def test_another_run_is_refused_in_one_line(
+    recording: Path, killed: Path, flags: list[str], what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    camera = tmp_path / "camera.toml"
+    camera.write_text("fx = 190.0\nfy = 197.0\ncx = 119.5\ncy = 89.5\n")
+    before = (killed / "trajectory.txt").read_bytes()
+    flags = [str(camera) if flag == "CAMERA" else flag for flag in flags]
+    assert main(["run", str(recording), "--out", str(killed), "--resume", *flags]) == 1
+    error = capsys.readouterr().err.strip()
+    assert what in error
+    assert len(error.splitlines()) == 1
+    assert (killed / "trajectory.txt").read_bytes() == before
+
+
+def test_where_there_is_nothing_to_go_on_with_it_says_so(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", str(recording), "--out", str(tmp_path / "none"), "--resume"]) == 1
+    assert "there is no interrupted run" in capsys.readouterr().err
+    finished = tmp_path / "finished"
+    assert main(["run", str(recording), "--out", str(finished), "--max-frames", "3"]) == 0
+    capsys.readouterr()
+    assert main(["run", str(recording), "--out", str(finished), "--max-frames", "3", "--resume"]) == 1
+    assert "that run is finished" in capsys.readouterr().err
+
+
+IDENTITY = Identity("1", "seed = 0\n", "desk", 40, 0.0, 1.3, "camera")
+
+
+def test_a_damaged_checkpoint_is_an_error(tmp_path: Path) -> None:
+    path = tmp_path / checkpoint.NAME
+    Checkpoints(tmp_path, IDENTITY).write(State(IdRgbdo(), [], []))
+    assert isinstance(checkpoint.load(tmp_path, IDENTITY).odometry, IdRgbdo)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(IdRgbdoError, match=r"resume: .* cannot be read"):
+        checkpoint.load(tmp_path, IDENTITY)
+    path.write_bytes(b"not a checkpoint")
+    with pytest.raises(IdRgbdoError, match="is no checkpoint"):
+        checkpoint.load(tmp_path, IDENTITY)
+
+
+def test_another_version_is_refused(tmp_path: Path) -> None:
+    Checkpoints(tmp_path, IDENTITY).write(State(IdRgbdo(), [], []))
+    config = Config()
+    with pytest.raises(IdRgbdoError, match=r"another version \(1, now 2\)"):
+        checkpoint.load(tmp_path, Identity("2", IDENTITY.settings, "desk", 40, 0.0, 1.3, "camera"))
+    assert "seed = 0" in Identity.of("1", config, "desk", [0.0, 1.3], "camera").settings  # type: ignore[arg-type]
+
+
+def test_writing_never_takes_more_than_a_small_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr(checkpoint, "monotonic", lambda: clock[0])
+    checkpoints = Checkpoints(tmp_path, IDENTITY)
+    written: list[float] = []
+
+    def write(state: State, file: object, protocol: int) -> None:
+        written.append(clock[0])
+        clock[0] += 0.2
+
+    monkeypatch.setattr(checkpoint.pickle, "dump", write)
+    state = State(IdRgbdo(), [], [])
+    for _ in range(2000):
+        clock[0] += 0.01
+        checkpoints.offer(state)
+    assert written[0] == pytest.approx(1.0, abs=0.02)
+    assert 0.2 * len(written) < 0.04 * clock[0]
+    assert len(written) >= 3
+
+
+def test_a_continued_run_starts_from_the_last_record(desk: Film) -> None:
+    odometry = IdRgbdo()
+    first = run(odometry, desk.frames[:5])
+    gone = [BrokenFrame(desk.frames[5].timestamp, "gone"), *desk.frames[6:8]]
+    seen: list[Record] = []
+    whole = run(odometry, gone, seen.append, first.records)
+    assert len(whole.records) == 8
+    assert len(seen) == 3
+    assert whole.records[5].result.T_world_cam.equal(first.records[4].result.T_world_cam)
+
+
+def test_ctrl_c_leaves_a_checkpoint(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "stopped"
+    command = [sys.executable, "-m", "idrgbdo_torch", "run", str(recording), "--out", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    deadline = time.monotonic() + 120
+    path = out / "trajectory.txt"
+    while time.monotonic() < deadline and not (path.exists() and len(path.read_text().splitlines()) > 2):
+        time.sleep(0.005)
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=120)
+    if process.returncode == 0:
+        pytest.skip("the run ended before it could be interrupted")
+    assert b"--resume" in output
+    before = len(read_tum(path))
+    assert main(["run", str(recording), "--out", str(out), "--resume"]) == 0
+    assert before < len(read_tum(path)) == FRAMES

@@ -1,0 +1,144 @@
+"""What leaves the window: which keyframe goes, and the prior that stays of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from rendered import Film
+from window_cases import CONFIG, DEGREE, MM, Desk, make_desk, twists
+
+from idrgbdo_torch.config import WindowConfig
+from idrgbdo_torch.definitions import se3
+from idrgbdo_torch.definitions.marginalization import LinearPrior, prior_gradient, redundancy_bits
+from idrgbdo_torch.tracker.window import PROTECTED, STEP
+
+
+@pytest.fixture(scope="module")
+def keyed(desk: Film) -> Desk:
+    return make_desk(desk)
+
+
+def test_the_window_keeps_its_size_and_its_newest(keyed: Desk) -> None:
+    window = keyed.window(5)
+    assert window.shrink() == []
+    for k in (5, 6):
+        keyed.add(window, k)
+        window.optimise()
+        newest = [keyframe.frame.timestamp for keyframe in window.keyframes[-PROTECTED:]]
+        removed = window.shrink()
+        assert len(removed) == 1 and removed[0][0] < 6 - PROTECTED
+        assert len(window.keyframes) == len(window.index) == len(window.slots) == 5
+        assert [keyframe.frame.timestamp for keyframe in window.keyframes[-PROTECTED:]] == newest
+        assert window.prior.H.shape == (5 * STEP,) * 2 and window.prior.b.shape == (5 * STEP,)
+        for slot, keyframe in zip(window.slots, window.keyframes, strict=True):
+            assert np.array_equal(window.images[slot], keyframe.frame.images[0])
+            assert np.array_equal(window.depths[slot], keyframe.frame.depth)
+    window.optimise()
+    assert keyed.errors(window)[0].max() < 2 * MM
+
+
+def test_removal_takes_the_most_redundant_or_the_oldest(keyed: Desk) -> None:
+    window = keyed.window(6)
+    window.optimise()
+    k = window.least_useful()
+    H, _ = window.system.reduced()
+    H += window.prior.H.numpy()
+    brightness = np.arange(len(H)) % STEP >= 6
+    poses = np.linalg.inv(np.linalg.inv(H)[~brightness][:, ~brightness])
+    psi = redundancy_bits(torch.from_numpy(0.5 * (poses + poses.T)))
+    assert k == int(psi[: 6 - PROTECTED].argmax())
+    oldest = keyed.window(6, config=replace(CONFIG, window=WindowConfig(keyframes=5, removal="oldest")))
+    oldest.optimise()
+    assert oldest.least_useful() == 0
+
+
+def test_a_keyframe_out_of_sight_goes_first(keyed: Desk) -> None:
+    window = keyed.window(6)
+    window.optimise()
+    window.system.rms[2, :, -1] = -1.0  # none of its points is seen by the newest
+    assert window.least_useful() == 2
+    window.system.rms[4, :, -1] = -1.0  # protected
+    window.system.rms[2, :, -1] = 1.0
+    assert window.least_useful() < 4
+
+
+@pytest.mark.parametrize("k", [0, 2])
+def test_marginalising_is_dense_elimination_of_its_points_and_itself(keyed: Desk, k: int) -> None:
+    """And the prior's pull on the kept is, at the present state, what the removed terms pulled (Eqs. 23, 25)."""
+    window = keyed.window(5, 2 * MM, 0.05 * DEGREE)
+    window.optimise()
+    for again in (False, True):  # the second time on top of a prior, with poses that have moved since
+        K = len(window.keyframes)
+        hosts = np.arange(K) == k
+        _, system = window.linearise(window.points(), hosts, CONFIG.noise.outlier)
+        cross = system.cross.reshape(-1, STEP * K)
+        pull = prior_gradient(window.prior, window.deviation()).numpy()
+        H = np.block([[system.H + window.prior.H.numpy(), cross.T], [cross, np.diag(system.Hd.ravel())]])
+        g = np.concatenate([system.b + pull, system.bd.ravel()])
+        kept = np.zeros(len(H), dtype=np.bool_)
+        kept[: STEP * K] = ~np.repeat(hosts, STEP)
+        gone = ~kept & (H.diagonal() > 0)
+        unit = 1 / np.sqrt(np.where(H.diagonal() > 0, H.diagonal(), 1.0))
+        H, g = unit[:, None] * H * unit, unit * g
+        star = H[kept][:, kept] - H[kept][:, gone] @ np.linalg.solve(H[gone][:, gone], H[gone][:, kept])
+        pull_star = g[kept] - H[kept][:, gone] @ np.linalg.solve(H[gone][:, gone], g[gone])
+        window.marginalise(k)
+        u = unit[kept]
+        np.testing.assert_allclose(u[:, None] * window.prior.H.numpy() * u, star, atol=1e-7)
+        now = u * prior_gradient(window.prior, window.deviation()).numpy()
+        np.testing.assert_allclose(now, pull_star, atol=1e-6 * np.abs(g).max())
+        if not again:
+            window.T_kf_world = se3.retract(twists(4, 1 * MM, 1e-3), torch.from_numpy(window.T_kf_world)).numpy()
+
+
+def test_marginalising_at_the_optimum_hardly_moves_the_rest(keyed: Desk) -> None:
+    window = keyed.window(5, 2 * MM, 0.05 * DEGREE)
+    for _ in range(3):
+        window.optimise()
+    kept = window.T_kf_world[[0, 2, 3, 4]]
+    window.marginalise(1)
+    window.optimise()
+    assert np.abs(window.T_kf_world - kept).max() < 4e-4
+
+
+def test_the_prior_pulls(keyed: Desk) -> None:
+    window = keyed.window(5)
+    window.optimise()
+    x = 3 * STEP  # of the fourth keyframe
+    H, b = window.prior.H.clone(), window.prior.b.clone()
+    H[x, x] += 1e10
+    b[x] += 1e10 * (5 * MM + float(window.deviation()[x]))  # as if something else had measured it 5 mm away
+    before = window.T_kf_world.copy()
+    window.prior = LinearPrior(H, b)
+    for _ in range(3):
+        window.optimise()
+    moved = se3.log(torch.from_numpy(window.T_kf_world) @ se3.inverse(torch.from_numpy(before)))
+    assert moved[3, 0] == pytest.approx(5 * MM, rel=0.05)
+    assert moved[0].abs().max() < 1e-5  # which holds the gauge
+
+
+@pytest.mark.parametrize("first_estimates", [True, False])
+def test_first_estimates_do_not_move(keyed: Desk, first_estimates: bool) -> None:
+    config = replace(CONFIG, window=WindowConfig(keyframes=5, first_estimates=first_estimates))
+    window = keyed.window(6, 2 * MM, 0.05 * DEGREE, config=config)
+    window.optimise()
+    window.marginalise(1)
+    assert window.in_prior[0] and window.in_prior.sum() >= 3
+    fixed, moving = window.in_prior.copy(), window.T_kf_world.copy()
+    linear = window.T_linear.copy()
+    np.testing.assert_array_equal(linear[fixed][1:], moving[fixed][1:])
+    keyed.add(window, 6, twists(2, 2 * MM, 0.05 * DEGREE)[1])
+    window.optimise()
+    assert np.abs(window.T_kf_world[:-1] - moving).max() > 1e-5
+    np.testing.assert_array_equal(window.T_linear[:-1][fixed], linear[fixed])
+    window.marginalise(1)
+    kept = np.delete(np.arange(5), 1)
+    np.testing.assert_array_equal(window.T_linear[: len(kept)][fixed[kept]], linear[kept][fixed[kept]])
+    assert window.deviation().abs().max() > 0
+    _, at_state = window.linearise(window.points(), np.ones(5, dtype=np.bool_), 1e9)
+    window.T_linear = window.T_kf_world.copy()
+    _, relinearised = window.linearise(window.points(), np.ones(5, dtype=np.bool_), 1e9)
+    assert np.array_equal(at_state.H, relinearised.H) != first_estimates
