@@ -18,11 +18,10 @@ from time import monotonic
 from typing import Any
 
 from .. import configfile
-from ..definitions.camera import Pinhole
 from ..config import Config
+from ..definitions.camera import Pinhole
 from ..errors import IdRgbdoError
-from ..odometry import Odometry
-from ..odometry import Record
+from ..odometry import Odometry, Record
 
 NAME = "checkpoint.bin"
 SHARE = 30.0  # times what writing one takes, between two

@@ -17,21 +17,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..errors import IdRgbdoError
-from ..evaluation import Evaluation
-from ..evaluation import Measurement
-from ..tracker.mapping import Cloud
-from ..tracker.mapping import world_cloud
-from ..tracker.mapping import write_ply
-from ..odometry import Odometry
-from ..odometry import Record
-from ..odometry import Run
-from ..odometry import Status
-from ..trajectory import TUM_HEADER
-from ..trajectory import Trajectory
-from ..trajectory import nearest
-from ..trajectory import read_tum
-from ..trajectory import tum_line
-from ..trajectory import write_tum
+from ..evaluation import Evaluation, Measurement
+from ..odometry import Odometry, Record, Run, Status
+from ..tracker.mapping import Cloud, world_cloud, write_ply
+from ..trajectory import TUM_HEADER, Trajectory, nearest, read_tum, tum_line, write_tum
 
 DEGREES_OF_FREEDOM = ("vx", "vy", "vz", "wx", "wy", "wz")
 UPPER = [(row, column) for row in range(6) for column in range(row, 6)]

@@ -10,13 +10,11 @@ from typing import Any, Protocol
 import torch
 
 from ..definitions.camera import Pinhole
-from ..errors import IdRgbdoError
-from ..frame import BrokenFrame
-from ..frame import RgbdFrame
-from ..open3d_loader import load_open3d
 from ..definitions.se3 import inverse
-from ..trajectory import Trajectory
-from ..trajectory import nearest
+from ..errors import IdRgbdoError
+from ..frame import BrokenFrame, RgbdFrame
+from ..open3d_loader import load_open3d
+from ..trajectory import Trajectory, nearest
 
 BLOCK = 8  # voxels along the side of a block
 TRUNCATION = 5.0  # voxels: the signed distance is kept this far from the surface

@@ -1,0 +1,1 @@
+"""A run on disk: its folder, the checkpoint to go on from, what was tracked, the mesh."""
