@@ -6,7 +6,7 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from idrgbdo_torch.methods import Method
+from idrgbdo_torch.comparison.methods import Method
 
 if TYPE_CHECKING:
     from idrgbdo_torch.odometry import Odometry

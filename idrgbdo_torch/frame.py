@@ -14,7 +14,7 @@ from torch import Tensor
 
 from .definitions.camera import Pinhole
 from .errors import IdRgbdoError
-from .measurement import COARSE_BLUR, LEVELS, Points
+from .measurement import COARSE_BLUR, LEVELS, Points, View
 
 Image = NDArray[Any]
 
@@ -67,6 +67,11 @@ class Frame:
         cameras = [self.camera.at_level(level) for level in range(len(self.images))]
         return np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras])
 
+    @cached_property
+    def view(self) -> View:
+        """What an alignment reads of it."""
+        return View(self.images, self.depth, self.intrinsics)
+
 
 def prepare(rgbd: RgbdFrame) -> Frame:
     """Gray pyramid by 2x2 means, which is what Pinhole.at_level assumes; the coarse levels are blurred.
@@ -93,6 +98,5 @@ class Keyframe:
     measured: Image  # (N,) 1/m, the sensor's own inverse depths
     measured_variance: Image  # (N,) (1/m)^2
     radius: Image  # (N,) distance to the principal point over the largest one
-    tier: Image  # (N,) 2 Canny edge, 1 above the regional threshold, 0 weaker
     coarse: Image  # (M,) indices spread over the image, for the coarse levels
     witnesses: Image  # (W,) the same for verification, which takes more than a few

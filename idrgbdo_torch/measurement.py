@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .config import NoiseConfig
+from .errors import IdRgbdoError
 
 Array = NDArray[Any]
 
@@ -24,6 +25,13 @@ LEVELS = 6  # of every pyramid; tracking starts at its configured one, recovery 
 COARSE_BLUR = 1.2  # px, standard deviation of the blur of the coarse levels
 TIER = 65536.0  # what a candidate's tier is worth: above every squared gradient of an 8-bit image
 GRADIENT_NOISE = 0.25  # squared gradient of pure noise over var_intensity, the sensor's share of which is a quarter
+STEP = 8  # numbers a keyframe of the window: [v, w], a, b
+OTHER_SURFACE = 6.0  # times the Huber threshold: a depth this far off belongs to something else
+SETTLED = (0.5, 0.1)  # standard deviations; a smaller step ends a round of the finest level
+SETTLED_COARSE = 1.0  # and the only one of a coarse level
+FLOOR = 1e-9  # added to the diagonal: a direction that nothing measures does not move
+NEAR_SIGMAS = 4.0  # standard deviations by which an agreeing depth may be off,
+NEAR_SHARE = 0.02  # and the share of the inverse depth that is allowed on top (scale, registration)
 RATE = 30.0  # Hz, at which the motion prior and the speed of an image are given
 
 
@@ -63,13 +71,132 @@ class WindowPoints(NamedTuple):
     valid: Array  # (K, N) bool
 
 
+class View(NamedTuple):
+    """What a frame shows: the gray pyramid, the depth, the camera of every level."""
+
+    images: tuple[Array, ...]  # a level: (H >> l, W >> l) float32 gray levels
+    depth: Array  # (H, W) float32 m, 0 where missing
+    cameras: Array  # (L, 4) float64 fx fy cx cy
+
+
+class Subset(NamedTuple):
+    """Some of a keyframe's points, and how many pixels of their patches count."""
+
+    which: Array  # (M,) int64
+    pixels: int
+
+
+class State(NamedTuple):
+    """What is looked for when a frame (target) is aligned to a keyframe (host)."""
+
+    T: Array  # (4, 4) T_target_host
+    affine: Array  # (2,) gain's logarithm and offset of the target relative to the host
+
+
+class MotionPrior(NamedTuple):
+    """What is known beforehand of a State: Eq. 19's Gaussian about a pose, and one about the start's brightness."""
+
+    T_inverse: Array  # (4, 4) inverse of the predicted T_target_host
+    information: Array  # (6, 6) Sigma_m^-1 of a left increment
+    affine_information: Array  # (2, 2)
+
+
+class System(NamedTuple):
+    """Normal equations of one pair; filled in place."""
+
+    H: Array  # (8, 8) of [v, w, a, b]
+    b: Array  # (8,) -J^T W r
+    rms: Array  # (M,) whitened residual of each point, -1 where it is not seen
+
+
+class Aligned(NamedTuple):
+    """Where an alignment ended."""
+
+    T: Array  # (4, 4) T_target_host
+    affine: Array  # (2,)
+    H: Array  # (8, 8) with the brightness prior, without the motion prior
+    rms: Array  # (M,) of the fine points
+    scale: float  # robust scale of the whitened residuals
+    iterations: int
+    seen: int  # points
+    kept: int  # points within the outlier limit
+    change: float  # standard deviations, the last step's size
+
+
+class Rows(NamedTuple):
+    """Whitened rows of points at a pose: A^T A is a point's information."""
+
+    A: Array  # (M, 3, 6): two of the patch, one of the depth
+    seen: Array  # (M,) bool: the margin inside the image
+    where: Array  # (M, 2) px in the target
+
+
+class Agreement(NamedTuple):
+    """How many points a pose explains."""
+
+    seen: int
+    bright: int  # of those, with agreeing brightness
+    with_depth: int
+    near: int  # of those, with agreeing depth
+
+
+class Views(NamedTuple):
+    """What the keyframes of a window show: slots of one buffer."""
+
+    images: Array  # (S, H, W) float32 gray levels
+    depths: Array  # (S, H, W) float32 m
+    slots: Array  # (K,) int64
+    camera: Array  # (4,) fx fy cx cy
+
+
+class WindowState(NamedTuple):
+    """What a window looks for."""
+
+    T: Array  # (K, 4, 4) T_kf_world, where residuals are taken
+    T_linear: Array  # (K, 4, 4) where geometric Jacobians are taken (first estimates)
+    affine: Array  # (K, 2)
+    inv_depth: Array  # (K, N) 1/m
+
+
+class WindowSystem(NamedTuple):
+    """Normal equations of a window, inverse depths still apart; filled in place."""
+
+    H: Array  # (8K, 8K) of poses and brightness
+    b: Array  # (8K,)
+    Hd: Array  # (K, N) of the inverse depths, diagonal
+    bd: Array  # (K, N)
+    cross: Array  # (K, N, 8K)
+    rms: Array  # (K, N, K) whitened residual of host, point, target; -1 unseen
+
+    @staticmethod
+    def empty(K: int, N: int) -> WindowSystem:
+        """Room for the system of K keyframes with N points each."""
+        n = STEP * K
+        return WindowSystem(
+            np.zeros((n, n)), np.zeros(n), np.zeros((K, N)), np.zeros((K, N)), np.zeros((K, N, n)), np.zeros((K, N, K))
+        )
+
+
+def inverse_depth_sigma(focal_baseline: float, sigma_disparity: float) -> float:
+    """Eq. (10). sigma_d = sigma_px / (f b) in 1/m, from the product f b in px m and the disparity error in px."""
+    if not focal_baseline > 0:
+        raise IdRgbdoError(
+            f"focal_baseline: expected a positive number of px m, got {focal_baseline}; a Kinect has about 40"
+        )
+    if not sigma_disparity >= 0:
+        raise IdRgbdoError(
+            f"sigma_disparity: expected a number of px from 0 up, got {sigma_disparity}; a Kinect has 0.06 to 0.5"
+        )
+    return sigma_disparity / focal_baseline
+
+
 def kernel_noise(config: NoiseConfig, patch: int = PIXELS) -> Noise:
     """NoiseConfig as plain numbers, for points of so many pixels."""
     shared = float(patch)
     return Noise(
         var_intensity=config.sigma_intensity**2,
         var_pixel=shared * config.sigma_pixel**2,
-        var_depth=(config.sigma_disparity / config.focal_baseline) ** 2,
+        var_depth=inverse_depth_sigma(config.focal_baseline, config.sigma_disparity) ** 2,
         shared=shared,
         c_h=config.c_h,
         huber=config.huber / config.sigma_intensity,

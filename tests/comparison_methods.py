@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import torch
 
+from idrgbdo_torch.comparison.methods import Method
 from idrgbdo_torch.frame import RgbdFrame
-from idrgbdo_torch.methods import Method
 from idrgbdo_torch.odometry import ConstantVelocity, Status, TrackResult
 
 

@@ -18,7 +18,7 @@ from ..errors import IdRgbdoError
 
 if TYPE_CHECKING:
     from ..comparison import Comparison, Progress
-    from ..methods import Method
+    from ..comparison.methods import Method
 
 
 @dataclass(frozen=True)

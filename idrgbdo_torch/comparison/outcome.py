@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from ..errors import IdRgbdoError
-from ..methods import Kind, Method
+from .methods import Kind, Method
 
 EXTERNAL = "external"  # the kind of a trajectory that another program wrote
 RESULTS = "results.jsonl"

@@ -14,8 +14,8 @@ from ..datasets import RgbdSequence
 from ..errors import IdRgbdoError
 from ..evaluation import ASSOCIATION_LIMIT_S, evaluate
 from ..frame import RgbdFrame
-from ..methods import Methods
 from ..trajectory import associate, read_tum, write_tum
+from .methods import Methods
 from .outcome import EXTERNAL, Outcome, append_outcome, configuration_digest, machine_name, read_outcomes, versions_of
 from .summary import Comparison
 from .worker import Source, run_apart

@@ -15,9 +15,9 @@ from typing import Any
 from ..datasets import RgbdSequence, open_sequence
 from ..errors import IdRgbdoError
 from ..evaluation import evaluate
-from ..methods import Method
 from ..odometry import Record, Status, run
 from ..runs.folder import RunFolder, measurements, summarise
+from .methods import Method
 
 STDERR = "stderr.txt"
 

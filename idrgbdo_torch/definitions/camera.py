@@ -1,4 +1,4 @@
-"""Pinhole camera: projection, back-projection at inverse depth, their Jacobians, and the depth noise of Eq. (10)."""
+"""Pinhole camera: projection, back-projection at inverse depth, and their Jacobians."""
 
 from __future__ import annotations
 
@@ -95,19 +95,6 @@ def dP_dinverse_depth(camera: Pinhole, uv: Tensor, inverse_depth: Tensor) -> Ten
     """Jacobian (..., 3) of `backproject` with respect to the inverse depth, in m^2: -P / d; zero where d is invalid."""
     d, _ = _positive(inverse_depth)
     return -backproject(camera, uv, inverse_depth) / d[..., None]
-
-
-def inverse_depth_sigma(focal_baseline: float, sigma_disparity: float) -> float:
-    """Eq. (10). sigma_d = sigma_px / (f b) in 1/m, from the product f b in px m and the disparity error in px."""
-    if not focal_baseline > 0:
-        raise IdRgbdoError(
-            f"focal_baseline: expected a positive number of px m, got {focal_baseline}; a Kinect has about 40"
-        )
-    if not sigma_disparity >= 0:
-        raise IdRgbdoError(
-            f"sigma_disparity: expected a number of px from 0 up, got {sigma_disparity}; a Kinect has 0.06 to 0.5"
-        )
-    return (1 / focal_baseline) * sigma_disparity
 
 
 def _in_front(P: Tensor) -> tuple[Tensor, Tensor]:

@@ -13,7 +13,8 @@ from ..errors import IdRgbdoError
 from ..measurement import TIER
 from .convert import SMALLEST, Array
 from .image import gradient as image_gradient
-from .points import TRACKING_PATTERN, sample_patterns
+from .photometric import PATTERN
+from .points import sample_patterns
 from .solver import solve
 
 BINS = 64  # gray levels per px; stronger gradients count as the last one
@@ -92,14 +93,14 @@ def grid_candidates(
 
 
 def sample_patches(
-    images: Sequence[Array], uv: Array, index: Array, first: int, end: int, patch: Array, gradient: Array
+    images: Sequence[Array], uv: Array, index: Array, levels: range, patch: Array, gradient: Array
 ) -> None:
-    """Fill reference intensities (L, N, P) and gradients (L, N, P, 2) of some points on levels first to end."""
+    """Fill reference intensities (L, N, P) and gradients (L, N, P, 2) of some points on some levels."""
     # sides shrink with the level, so what is too small comes last
-    pyramid = [torch.from_numpy(image) for image in images[:end] if min(image.shape) >= SMALLEST]
-    patches, gradients = sample_patterns(pyramid, torch.from_numpy(uv[index]), TRACKING_PATTERN[: patch.shape[2]])
-    patch[first:end, index] = gradient[first:end, index] = 0.0
-    for level in range(first, len(pyramid)):
+    pyramid = [torch.from_numpy(image) for image in images[: levels.stop] if min(image.shape) >= SMALLEST]
+    patches, gradients = sample_patterns(pyramid, torch.from_numpy(uv[index]), PATTERN[: patch.shape[2]])
+    patch[levels.start : levels.stop, index] = gradient[levels.start : levels.stop, index] = 0.0
+    for level in range(levels.start, len(pyramid)):
         patch[level, index] = patches[level].float().numpy()
         gradient[level, index] = gradients[level].float().numpy()
 

@@ -57,6 +57,28 @@ def information_from_rows(j: Tensor, variance: Tensor) -> Tensor:
     return j.mT @ (variance.reciprocal()[..., None] * j)
 
 
+def freedom_entropies_bits(information: Tensor) -> Tensor:
+    """Entropy (..., m) in bits of each variable given the others, from their information (..., m, m).
+
+    The paper's H* (section 5.1): Eq. 11 of Eq. 14's conditional covariance, one variable after the other. It equals
+    Eq. 11 of 1 / Lambda_kk, which is what runs where the information cannot be inverted; infinite without information.
+    """
+    information = information.double()
+    precision = information.diagonal(dim1=-2, dim2=-1)
+    known = precision > 0
+    conditional = torch.where(known, precision, 1.0).reciprocal()
+    scale = conditional.sqrt()
+    unit = scale[..., :, None] * information * scale[..., None, :]
+    factor, failed = torch.linalg.cholesky_ex(unit)
+    if bool(known.all() & (failed == 0).all() & (factor.diagonal(dim1=-2, dim2=-1) > 1e-4).all()):
+        joint = scale[..., :, None] * torch.cholesky_inverse(factor) * scale[..., None, :]
+        m = precision.shape[-1]
+        turns = [[k, *(other for other in range(m) if other != k)] for k in range(m)]  # the variable, then the rest
+        blocks = [conditional_covariance(joint[..., turn, :][..., turn], 1)[..., 0, 0] for turn in turns]
+        conditional = torch.stack(blocks, dim=-1)
+    return torch.where(known, entropy_bits(conditional[..., None, None]), torch.inf)
+
+
 def log2_det(matrix: Tensor, name: str = "matrix") -> Tensor:
     """log2 |M| (...) of positive definite M (..., k, k), float64."""
     return 2 * cholesky(matrix, name).diagonal(dim1=-2, dim2=-1).log2().sum(-1)

@@ -14,9 +14,11 @@ import torch
 from torch import Tensor
 
 from ..config import NoiseConfig
+from ..measurement import OTHER_SURFACE, PIXELS, inverse_depth_sigma
 from .camera import Pinhole
 from .image import sample_surface
 from .photometric import (
+    PATTERN,
     PATTERN_1,
     Warp,
     depth_residual,
@@ -27,10 +29,8 @@ from .photometric import (
     residual_variance,
     warp,
 )
-from .points import PIXELS, TRACKING_PATTERN, HostPoints, at_level
+from .points import HostPoints, at_level
 from .solver import huber_weight, normal_equations, robust_cost
-
-OTHER_SURFACE = 6.0  # times the Huber threshold: a depth this far off belongs to something else
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def residual_noise(config: NoiseConfig | None = None) -> ResidualNoise:
     return ResidualNoise(
         sigma_intensity=config.sigma_intensity,
         sigma_pixel=config.sigma_pixel,
-        sigma_depth=config.sigma_disparity / config.focal_baseline,
+        sigma_depth=inverse_depth_sigma(config.focal_baseline, config.sigma_disparity),
         shared=float(PIXELS),
         c_h=config.c_h,
         huber=config.huber / config.sigma_intensity,
@@ -132,7 +132,7 @@ def linearise_pairs(
     exists = points.inverse_depth > 0
     d = torch.where(exists, points.inverse_depth, 1.0)  # (B, N)
     T = T_target_host.to(d)[:, None]  # (B, 1, 4, 4)
-    warped = warp(camera, at_level(points.uv, level), d, T, TRACKING_PATTERN[:pixels])
+    warped = warp(camera, at_level(points.uv, level), d, T, PATTERN[:pixels])
     brightness = affine.to(d)[:, None]
     term = linearize(target.image, warped, points.patch[level][..., :pixels].to(d), brightness)
 

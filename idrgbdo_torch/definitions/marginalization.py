@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .convert import Array
-from .information import log2_det
+from .information import cholesky, mutual_information_bits
 
 
 def partition(H: Tensor, b: Tensor, marginal: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -86,9 +85,9 @@ def marginalize(H: Tensor, b: Tensor, marginal: Tensor) -> LinearPrior:
 def redundancy_bits(information: Tensor) -> Tensor:
     """Eq. (26). psi(K_j) = sum_i MI(i, j | the rest) of keyframe poses, (K,) bits, from their (6K, 6K) information.
 
-    The conditional covariance of a pair given the rest is the inverse of the pair's block of the information matrix, so
-    nothing has to be inverted: of a pair with information [[A, B], [B^T, D]] the mutual information is
-    1/2 log2(|A| |D| / |[[A, B], [B^T, D]]|) (Eq. 15 with the determinants of a block inverse). i = j is left out.
+    The conditional covariance of a pair given the rest is the inverse of the pair's block of the information matrix;
+    Eq. 15 of it is the mutual information. i = j is left out. (The twin inverts nothing: of a pair with information
+    [[A, B], [B^T, D]] it is 1/2 log2(|A| |D| / |[[A, B], [B^T, D]]|), by the determinants of a block inverse.)
     """
     K = information.shape[0] // 6
     scale = information.diagonal().rsqrt()  # mutual information knows no units, so scale them away
@@ -96,20 +95,6 @@ def redundancy_bits(information: Tensor) -> Tensor:
     i, j = torch.triu_indices(K, K, offset=1)
     top = torch.cat([blocks[i, i], blocks[i, j]], dim=-1)  # (M, 6, 12)
     bottom = torch.cat([blocks[j, i], blocks[j, j]], dim=-1)
-    alone = log2_det(blocks.diagonal().permute(2, 0, 1), "information, a keyframe's block")
-    pair = log2_det(torch.cat([top, bottom], dim=-2), "information, the block of two keyframes")
-    mutual = 0.5 * (alone[i] + alone[j] - pair)
+    pair = cholesky(torch.cat([top, bottom], dim=-2), "information, the block of two keyframes")
+    mutual = mutual_information_bits(torch.cholesky_inverse(pair), 6)
     return information.new_zeros(K).index_add(0, i, mutual).index_add(0, j, mutual)
-
-
-def marginalize_arrays(H: Array, b: Array, keep: Array, gone: Array) -> tuple[bool, Array, Array]:
-    """Twin of kernels.marginal.marginalize, keep (m,) and gone (k,) ascending; ok whatever is singular."""
-    marginal = torch.zeros(len(keep) + len(gone), dtype=torch.bool)
-    marginal[torch.from_numpy(gone)] = True
-    prior = marginalize(torch.from_numpy(H), torch.from_numpy(b), marginal)
-    return True, prior.H.numpy(), prior.b.numpy()
-
-
-def redundancy_arrays(information: Array) -> tuple[bool, Array]:
-    """Twin of kernels.marginal.redundancy."""
-    return True, redundancy_bits(torch.from_numpy(information)).numpy()

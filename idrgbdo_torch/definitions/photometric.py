@@ -14,14 +14,13 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from .. import measurement
 from ..errors import IdRgbdoError
 from .camera import Pinhole, backproject, dP_dinverse_depth, duv_dP, project
 from .image import AGREEMENT, sample_surface, sample_with_gradient
 from .se3 import hat, transform
 
-PATTERN = torch.tensor(  # (8, 2) px, the residual pattern of DSO: centre and seven around it
-    [[0, -2], [-1, -1], [1, -1], [-2, 0], [0, 0], [2, 0], [-1, 1], [0, 2]], dtype=torch.float64
-)
+PATTERN = torch.from_numpy(measurement.PATTERN)  # (8, 2) px, the residual pattern of DSO, its centre first
 PATTERN_1 = torch.zeros(1, 2, dtype=torch.float64)  # (1, 2) px, the centre alone
 
 

@@ -9,14 +9,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv2d, max_pool2d, pad
 
-from ..config import NoiseConfig
+from ..config import NoiseConfig, TrackingConfig
 from ..errors import IdRgbdoError
-from ..measurement import COARSE_BLUR, PATTERN_U, PATTERN_V
+from ..measurement import COARSE_BLUR, inverse_depth_sigma
 from .image import gradient, pyramid, sample_with_gradient
+from .photometric import PATTERN
 
-TRACKING_PATTERN = torch.stack([torch.from_numpy(PATTERN_U), torch.from_numpy(PATTERN_V)], dim=-1)  # (8, 2) px
-PIXELS = len(TRACKING_PATTERN)
-LEVELS = 4  # of a pyramid by default
+TRACKED_LEVELS = TrackingConfig().levels  # of a pyramid by default
 ONE_SURFACE = 1.05  # largest over smallest depth around a picked point
 BORDER = 4  # px, room for the patch and its gradients
 
@@ -63,7 +62,7 @@ def pick_points(gray: Tensor, depth: Tensor, count: int) -> tuple[Tensor, Tensor
 
 def host_points(
     gray: Tensor, uv: Tensor, inverse_depth: Tensor, *, sigma: float | Tensor | None = None,
-    weight: Tensor | None = None, levels: int = LEVELS,
+    weight: Tensor | None = None, levels: int = TRACKED_LEVELS,
 ) -> HostPoints:  # fmt: skip
     """Points uv (B, N, 2) px of keyframes gray (B, H, W) in levels 0..255 at inverse depth (B, N) in 1/m, 0 for none.
 
@@ -75,9 +74,9 @@ def host_points(
             f"host_points: expected gray (B, H, W), uv (B, N, 2), inverse_depth (B, N), got {tuple(gray.shape)}, "
             f"{tuple(uv.shape)}, {tuple(inverse_depth.shape)}; pad shorter pairs with an inverse depth of 0"
         )
-    kinect = NoiseConfig().sigma_disparity / NoiseConfig().focal_baseline
+    kinect = inverse_depth_sigma(NoiseConfig().focal_baseline, NoiseConfig().sigma_disparity)
     spread = torch.as_tensor(kinect if sigma is None else sigma, dtype=uv.dtype)
-    patches, gradients = sample_patterns(tracking_pyramid(gray, levels), uv, TRACKING_PATTERN)
+    patches, gradients = sample_patterns(tracking_pyramid(gray, levels), uv, PATTERN)
     variance = spread.square().expand_as(inverse_depth)
     return HostPoints(uv, inverse_depth, variance, tuple(patches), tuple(gradients), weight)
 

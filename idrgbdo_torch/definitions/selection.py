@@ -8,13 +8,16 @@ from __future__ import annotations
 from math import log
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from ..config import SelectionConfig
 from ..errors import IdRgbdoError
-from ..measurement import GRADIENT_NOISE, Noise, Points
+from ..measurement import GRADIENT_NOISE, Noise, Points, Rows
 from .camera import Pinhole, inside
 from .convert import Array, chosen, noise_of_arrays
+from .information import entropy_reduction_bits, information_from_rows
 from .photometric import (
     PATTERN_1,
     distortion_weight,
@@ -26,12 +29,8 @@ from .photometric import (
 )
 
 
-def whitened_rows(
-    cam: Array, width: int, height: int, margin: float, points: Points, index: Array, T: Array, noise: Noise
-) -> tuple[Array, Array, Array]:
-    """Twin of kernels.choice.whitened_rows: rows (M, 3, 6), seen (M,), pixels (M, 2)."""
-    fx, fy, cx, cy = (float(x) for x in cam)
-    camera = Pinhole(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
+def whitened_rows(camera: Pinhole, margin: float, points: Points, index: Array, T: Array, noise: Noise) -> Rows:
+    """Twin of kernels.selection.whitened_rows: what some points tell about a pose T_target_host (4, 4)."""
     some = chosen(points, index)
     uv, d, var_d = some.uv[0], some.inverse_depth[0], some.variance[0]
     T_target_host = torch.from_numpy(T)
@@ -55,7 +54,7 @@ def whitened_rows(
     rows = torch.cat([patch, depth[:, None]], dim=1)
     rows = torch.where(seen[:, None, None], rows, 0.0)
     where = torch.where(seen[:, None], warped.centre, 0.0)
-    return rows.numpy(), seen.numpy(), where.numpy()
+    return Rows(rows.numpy(), seen.numpy(), where.numpy())
 
 
 def _factor(G: Tensor) -> Tensor:
@@ -121,12 +120,14 @@ def determinant_gain(rows: Tensor, information: Tensor) -> Tensor:
 def gain_bits(rows: Tensor, information: Tensor) -> Tensor:
     """What each point takes off the entropy, 1/2 log2 |I + A Lambda^-1 A^T| (...) in bits: Eq. 17 without its unit.
 
-    The same point is best by either, this one has no units, cannot overflow, and can only shrink as points join.
+    The same point is best by either, this one has no units, cannot overflow, and can only shrink as points join. It is
+    the entropy reduction (Eq. 12) of the pose, and by symmetry that of the point's whitened residual once the pose is
+    known: from I + A Lambda^-1 A^T to I.
     """
     AC = rows @ torch.linalg.inv(information)  # (..., R, D)
-    inner = torch.eye(rows.shape[-2], dtype=rows.dtype) + AC @ rows.mT
-    bits: Tensor = 0.5 * torch.linalg.slogdet(inner).logabsdet / log(2.0)
-    return bits
+    noise = torch.eye(rows.shape[-2], dtype=rows.dtype, device=rows.device)
+    predicted = noise + AC @ rows.mT
+    return entropy_reduction_bits(0.5 * (predicted + predicted.mT), noise)
 
 
 def point_value(gain: Tensor, radius: Tensor, z: float, c_z: float, spread: float = 1.0) -> Tensor:
@@ -146,7 +147,7 @@ def select_informative(
 
     information: (D, D) positive definite to begin with, the prior's. radius: (N,). objective: "bits" or "paper", see
     point_value. where (N, 2) and distance: no two chosen points are closer (px). This is the definition, O(N m);
-    kernels.choice.select is its fused twin for poses.
+    kernels.selection.select is its fused twin for poses.
     """
     if rows.ndim != 3 or m < 1 or information.shape != (rows.shape[-1],) * 2:
         raise IdRgbdoError(
@@ -162,7 +163,7 @@ def select_informative(
         free[best] = False
         if where is not None and distance > 0.0:
             free.logical_and_((where - where[best]).square().sum(dim=-1) >= distance**2)
-        information.add_(rows[best].mT @ rows[best])
+        information.add_(information_from_rows(rows[best], torch.ones(rows.shape[1])))
 
     for k in range(rows.shape[-1]):  # the largest derivative of each degree of freedom
         size = rows[..., k].square().sum(dim=-1).where(free, -torch.inf)
@@ -176,3 +177,14 @@ def select_informative(
         take(int(value.where(free, -torch.inf).argmax()))
         z = max(0.0, z - step)
     return torch.tensor(chosen, dtype=torch.int64)
+
+
+def select_by_definition(rows: Rows, radius: Array, m: int, information: Array, config: SelectionConfig) -> Array:
+    """Algorithm 1 with the configured objective over the rows that are seen: indices (<= m,) in order of choice."""
+    visible = np.flatnonzero(rows.seen)
+    order = select_informative(
+        torch.from_numpy(rows.A[visible]), torch.from_numpy(radius[visible]), m, torch.from_numpy(information),
+        objective=config.objective, spread=config.spread, c_z=config.c_z, where=torch.from_numpy(rows.where[visible]),
+        distance=config.distance,
+    )  # fmt: skip
+    return np.asarray(visible[order.numpy()])

@@ -10,18 +10,27 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from ..errors import IdRgbdoError
-from ..measurement import Noise, Points
+from ..measurement import (
+    FLOOR,
+    PIXELS,
+    SETTLED,
+    SETTLED_COARSE,
+    Aligned,
+    MotionPrior,
+    Noise,
+    Points,
+    State,
+    Subset,
+    View,
+)
 from .camera import Pinhole
 from .convert import SMALLEST, Array, chosen, inverse_of_depth, matrix, noise_of_arrays, pinhole
 from .linearise import NormalEquations, ResidualNoise, Target, linearise_pairs, residual_noise, robust_scale
-from .points import PIXELS, HostPoints, tracking_pyramid
+from .points import HostPoints, tracking_pyramid
 from .se3 import inverse, log, retract
 from .solver import solve
 
 STEPS = (8, 10, 12, 12)  # most iterations per level, finest first
-SETTLED = (0.5, 0.1)  # standard deviations; a smaller step ends a round of the finest level
-SETTLED_COARSE = 1.0  # and the only one of a coarse level
-FLOOR = 1e-9  # added to the diagonal: a direction that nothing measures does not move
 NOTHING = torch.zeros(0)
 AFFINE_SIGMA = (0.1, 10.0)  # of gain and gray levels, about the guess
 
@@ -192,15 +201,25 @@ def _system(problem: Problem, T: Tensor, affine: Tensor, noise: ResidualNoise, s
     return linearise_pairs(problem.points, problem.target, T, affine, noise, scale, noise.outlier, problem.pixels)
 
 
+def motion_prior_terms(xi_frame: Tensor, xi_predicted: Tensor, information: Tensor) -> tuple[Tensor, Tensor]:
+    """Eq. (19). What the motion prior adds to the normal equations: Sigma_m^-1 and Sigma_m^-1 (x_{t-1} - x_t^(k)).
+
+    xi_frame (..., 6): the frame's motion at this iteration, xi_predicted (..., 6): the previous frame's motion (both
+    log(T_t T_{t-1}^-1), constant velocity), information (6, 6): Sigma_m^-1. The prior belongs to the cost that a step
+    must lower, not to the entropy that is reported.
+    """
+    return information, (information @ (xi_predicted - xi_frame)[..., None])[..., 0]
+
+
 def with_prior(system: NormalEquations, T: Tensor, affine: Tensor, prior: Prior) -> tuple[Tensor, Tensor, Tensor]:
     """H (B, 8, 8), b (B, 8) and energy (B,) of the measurements and the prior, at a pose and a brightness."""
-    off = log(T @ inverse(prior.T_target_host))  # (B, 6)
-    pull = (prior.information @ off[..., None])[..., 0]
+    off = log(T @ inverse(prior.T_target_host))  # (B, 6), the frame's motion beyond the predicted one
+    known, push = motion_prior_terms(off, torch.zeros_like(off), prior.information)
     off_affine = affine - prior.affine
     pull_affine = (prior.affine_information @ off_affine[..., None])[..., 0]
-    H = system.H + pad(prior.information, (0, 2, 0, 2)) + pad(prior.affine_information, (6, 0, 6, 0))
-    b = system.b - torch.cat([pull, pull_affine], dim=-1)
-    return H, b, system.energy + (off * pull).sum(-1) + (off_affine * pull_affine).sum(-1)
+    H = system.H + pad(known, (0, 2, 0, 2)) + pad(prior.affine_information, (6, 0, 6, 0))
+    b = system.b + torch.cat([push, -pull_affine], dim=-1)
+    return H, b, system.energy - (off * push).sum(-1) + (off_affine * pull_affine).sum(-1)
 
 
 def pose_information(H: Tensor, affine_information: Tensor) -> Tensor:
@@ -221,41 +240,35 @@ def brightness_information(H: Tensor, least: Tensor) -> Tensor:
 
 
 def align(
-    images: Sequence[Array], depth: Array, cams: Array, points: Points, index_coarse: Array, pixels_coarse: int,
-    index_fine: Array, T0: Array, affine0: Array, prior: Array, T_prior_inv: Array, affine_prior: Array, noise: Noise,
+    view: View, points: Points, coarse: Subset, fine: Subset, start: State, prior: MotionPrior, noise: Noise,
     steps: Array,
-) -> tuple[Array, Array, Array, Array, float, int, int, int, float]:  # fmt: skip
-    """Twin of kernels.alignment.align, with its arguments and results.
-
-    One difference: T_prior_inv is the inverse of T0 in every use, and the search starts at the prior's pose.
-    """
-    camera = pinhole(cams[0], images[0])
-    inverse_depth = inverse_of_depth(depth)[None]
-    coarse, fine = chosen(points, index_coarse), chosen(points, index_fine)
+) -> Aligned:  # fmt: skip
+    """Twin of kernels.tracking.align: a batch of one. The search starts at the prior's pose, as the tracker has it."""
+    camera = pinhole(view.cameras[0], view.images[0])
+    inverse_depth = inverse_of_depth(view.depth)[None]
+    many, few = chosen(points, coarse.which), chosen(points, fine.which)
     sigma = noise_of_arrays(noise)
     problems = []
     for level in range(len(steps)):
-        some, pixels = (coarse, pixels_coarse) if level else (fine, points.patch.shape[2])
-        image = torch.from_numpy(images[level])
+        some, pixels = (many, coarse.pixels) if level else (few, fine.pixels)
+        image = torch.from_numpy(view.images[level])
         if min(image.shape) < SMALLEST:  # no point is seen
             some = replace(some, inverse_depth=torch.zeros_like(some.inverse_depth))
             image = torch.zeros(SMALLEST, SMALLEST)
         problems.append(Problem(some, Target(level, image[None], camera, inverse_depth), int(steps[level]), pixels))
-    known = Prior(inverse(matrix(T_prior_inv)), matrix(prior), matrix(affine0), matrix(affine_prior))
+    known = Prior(
+        inverse(matrix(prior.T_inverse)), matrix(prior.information), matrix(start.affine),
+        matrix(prior.affine_information),
+    )  # fmt: skip
     with torch.no_grad():
         found = descend(problems, known, sigma)
         T, affine = found.T_target_host, found.affine
         system = linearise_pairs(
-            fine, problems[0].target, T, affine, sigma, found.scale, sigma.outlier, problems[0].pixels
+            few, problems[0].target, T, affine, sigma, found.scale, sigma.outlier, problems[0].pixels
         )
     H = system.H[0]
     H[6:, 6:] += found.prior.affine_information[0]
-    return (
+    return Aligned(
         T[0].numpy(), affine[0].numpy(), H.numpy(), system.rms[0].numpy(), float(found.scale), int(found.iterations),
         int(system.seen.sum()), int(system.kept.sum()), float(found.change),
     )  # fmt: skip
-
-
-def robust_scale_of(rms: Array) -> float:
-    """Twin of kernels.alignment.robust_scale."""
-    return float(robust_scale(torch.from_numpy(rms)[None]))

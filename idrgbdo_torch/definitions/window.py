@@ -1,15 +1,16 @@
-"""Linearisation of the sliding window in torch: twin of kernels.bundle. All pairs of keyframes at once."""
+"""Linearisation of the sliding window in torch: twin of kernels.window. All pairs of keyframes at once."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from ..measurement import Noise, WindowPoints
+from ..measurement import OTHER_SURFACE, STEP, Noise, Views, WindowPoints, WindowState, WindowSystem
 from .convert import Array, noise_of_arrays, pinhole
 from .image import sample_surface
-from .linearise import OTHER_SURFACE, gradient_in_target
+from .linearise import gradient_in_target
 from .photometric import (
+    PATTERN,
     PATTERN_1,
     Warp,
     distortion_weight,
@@ -19,39 +20,40 @@ from .photometric import (
     residual_variance,
     warp,
 )
-from .points import TRACKING_PATTERN
 from .se3 import adjoint, inverse
 from .solver import huber_weight, robust_cost
 
-STEP = 8  # numbers a keyframe: [v, w], a, b
-
 
 def linearise_window(
-    images: Array, depths: Array, slots: Array, cam: Array, T_cam_world: Array, T_linear: Array, affine: Array,
-    inv_depth: Array, points: WindowPoints, hosts: Array, limit: float, noise: Noise,
-    H: Array, b: Array, Hd: Array, cross: Array, bd: Array, rms: Array,
-) -> float:  # fmt: skip
-    """Twin of kernels.bundle.linearise_window: fills H, b, Hd, cross, bd, rms, returns the energy.
+    views: Views,
+    state: WindowState,
+    points: WindowPoints,
+    hosts: Array,
+    limit: float,
+    noise: Noise,
+    system: WindowSystem,
+) -> float:
+    """Twin of kernels.window.linearise_window: fills the system, returns the energy.
 
     Inside, dimensions are (target, host, point, pixel); the state of one residual is [v, w, a, b, d].
     """
-    K, N = inv_depth.shape
-    camera = pinhole(cam, images[0])
-    at = torch.from_numpy(slots)
-    gray, z = torch.from_numpy(images)[at], torch.from_numpy(depths)[at].double()
+    K, N = state.inv_depth.shape
+    camera = pinhole(views.camera, views.images[0])
+    at = torch.from_numpy(views.slots)
+    gray, z = torch.from_numpy(views.images)[at], torch.from_numpy(views.depths)[at].double()
     inverse_depth = torch.where(z > 0, 1 / z, 0.0)  # (K, H, W)
     uv, patch, gradient, measured, variance, valid = (torch.from_numpy(x) for x in points)
     takes_part = valid & torch.from_numpy(hosts)[:, None]  # (K, N)
-    state = torch.from_numpy(inv_depth)
-    usable = takes_part & (state > 1e-3)
-    d = torch.where(usable, state, 1.0).expand(K, K, N)
+    inv_depth = torch.from_numpy(state.inv_depth)
+    usable = takes_part & (inv_depth > 1e-3)
+    d = torch.where(usable, inv_depth, 1.0).expand(K, K, N)
     pixel = uv.expand(K, K, N, 2)
-    brightness = torch.from_numpy(affine)
+    brightness = torch.from_numpy(state.affine)
     gain = (brightness[:, None, 0] - brightness[None, :, 0]).exp()  # (K, K)
 
-    T = _relative(torch.from_numpy(T_cam_world))  # (K, K, 1, 4, 4)
-    now = warp(camera, pixel, d, T, TRACKING_PATTERN[: patch.shape[-1]])
-    linear = warp(camera, pixel, d, _relative(torch.from_numpy(T_linear)), PATTERN_1)
+    T = _relative(torch.from_numpy(state.T))  # (K, K, 1, 4, 4)
+    now = warp(camera, pixel, d, T, PATTERN[: patch.shape[-1]])
+    linear = warp(camera, pixel, d, _relative(torch.from_numpy(state.T_linear)), PATTERN_1)
     relative = torch.stack([gain.log(), brightness[:, None, 1].expand(K, K)], dim=-1)[:, :, None]  # (K, K, 1, 2)
     term = linearize(gray, now, patch.double() - brightness[:, 1, None, None], relative)
 
@@ -83,23 +85,23 @@ def linearise_window(
         more = _normal(rows[..., None, :], r[..., None], w[..., None])
         L, l, energy = L + more[0], l + more[1], energy + cost
 
-    own = torch.where(takes_part, state - measured, 0.0)
+    own = torch.where(takes_part, inv_depth - measured, 0.0)
     own_weight = torch.where(takes_part, 1 / variance, 0.0)
     energy = energy + (own_weight * own.square()).sum()
-    Hd[:] = (L[..., 8, 8].sum(0) + own_weight).numpy()
-    bd[:] = (l[..., 8].sum(0) - own_weight * own).numpy()
-    rms[:] = torch.where(seen, size, -1.0).permute(1, 2, 0).numpy()
-    _fill(H, b, cross, L, l, _chain(torch.from_numpy(T_linear), gain))
+    system.Hd[:] = (L[..., 8, 8].sum(0) + own_weight).numpy()
+    system.bd[:] = (l[..., 8].sum(0) - own_weight * own).numpy()
+    system.rms[:] = torch.where(seen, size, -1.0).permute(1, 2, 0).numpy()
+    _fill(system, L, l, _chain(torch.from_numpy(state.T_linear), gain))
     return float(energy)
 
 
-def eliminate_depths(H: Array, b: Array, Hd: Array, cross: Array, bd: Array) -> tuple[Array, Array]:
-    """Twin of kernels.bundle.eliminate_depths: the Schur complement of the diagonal block of inverse depths."""
-    known = torch.from_numpy(Hd).flatten()
-    rows = torch.from_numpy(cross).flatten(0, 1)  # (K N, 8 K)
+def eliminate_depths(system: WindowSystem) -> tuple[Array, Array]:
+    """Twin of kernels.window.eliminate_depths: the Schur complement of the diagonal block of inverse depths."""
+    known = torch.from_numpy(system.Hd).flatten()
+    rows = torch.from_numpy(system.cross).flatten(0, 1)  # (K N, 8 K)
     share = torch.where((known > 0)[:, None], rows / torch.where(known > 0, known, 1.0)[:, None], 0.0)
-    out = torch.from_numpy(H) - share.mT @ rows
-    rhs = torch.from_numpy(b) - share.mT @ torch.from_numpy(bd).flatten()
+    out = torch.from_numpy(system.H) - share.mT @ rows
+    rhs = torch.from_numpy(system.b) - share.mT @ torch.from_numpy(system.bd).flatten()
     return (0.5 * (out + out.mT)).numpy(), rhs.numpy()
 
 
@@ -144,7 +146,7 @@ def _chain(T_linear: Tensor, gain: Tensor) -> Tensor:
     return chain
 
 
-def _fill(H: Array, b: Array, cross: Array, L: Tensor, l: Tensor, chain: Tensor) -> None:
+def _fill(system: WindowSystem, L: Tensor, l: Tensor, chain: Tensor) -> None:
     """Sum the points' systems (target, host, N, ...) into those of the keyframes."""
     K, N = L.shape[1:3]
     pair, pair_b = L[..., :8, :8].sum(2), l[..., :8].sum(2)  # (target, host, 8, 8)
@@ -153,9 +155,9 @@ def _fill(H: Array, b: Array, cross: Array, L: Tensor, l: Tensor, chain: Tensor)
     sides = pair.sum(1) + (chain.mT @ across).sum(0)
     k = torch.arange(K)
     blocks[k, :, k] += sides
-    H[:] = blocks.reshape(STEP * K, STEP * K).numpy()
-    b[:] = (pair_b.sum(1) + (chain.mT @ pair_b[..., None])[..., 0].sum(0)).flatten().numpy()
+    system.H[:] = blocks.reshape(STEP * K, STEP * K).numpy()
+    system.b[:] = (pair_b.sum(1) + (chain.mT @ pair_b[..., None])[..., 0].sum(0)).flatten().numpy()
     by_target = L[..., 8, :8]  # (target, host, N, 8)
     full = by_target.permute(1, 2, 0, 3).clone()  # (host, N, target, 8)
     full[k, :, k] += (by_target[..., None, :] @ chain[:, :, None])[..., 0, :].sum(0)
-    cross[:] = full.reshape(K, N, STEP * K).numpy()
+    system.cross[:] = full.reshape(K, N, STEP * K).numpy()

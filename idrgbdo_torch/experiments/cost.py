@@ -14,15 +14,17 @@ from numpy.typing import NDArray
 from ..config import Config
 from ..frame import Keyframe, RgbdFrame, prepare
 from ..kernels.se3 import inverse, retract
-from ..measurement import kernel_noise
+from ..measurement import State, Subset, kernel_noise
 from ..synthetic import SynthConfig
 from ..synthetic.sequence import RenderedSequence
+from ..tracker.backends import backend_named
 from ..tracker.keyframe import make_keyframe
 from ..tracker.selection import select_points
-from ..tracker.tracking import motion_information, track_frame
+from ..tracker.tracking import Pair, motion_information, track_frame
 from ..tracker.window import Window
 
 Array = NDArray[np.float64]
+FUSED = backend_named("fused")
 Case = Callable[[], Any]  # does the work once; called again it does the same
 
 POINTS = (24, 48, 96, 192, 256, 500)
@@ -91,11 +93,11 @@ def tracking_case(scene: Scene, points: int, *, select: bool = False, config: Co
     choose = selection_case(scene, points, config=config)
     index = choose()
 
+    pair = Pair(frame, keyframe, noise, FUSED)
+    start, coarse = State(T_guess, np.zeros(2)), Subset(keyframe.coarse, keyframe.points.patch.shape[2])
+
     def track() -> Any:
-        chosen = choose() if select else index
-        return track_frame(
-            frame, keyframe, T_guess, np.zeros(2), chosen, keyframe.coarse, prior, noise, config.tracking.levels
-        )
+        return track_frame(pair, start, choose() if select else index, coarse, prior, config.tracking.levels)
 
     return track
 
@@ -108,7 +110,7 @@ def selection_case(scene: Scene, points: int, *, config: Config | None = None) -
 
     def choose() -> Any:
         rng = np.random.default_rng(0)
-        return select_points(keyframe, T_guess, points, prior, config.selection, noise, rng)
+        return select_points(keyframe, T_guess, points, prior, config.selection, noise, rng, FUSED)
 
     return choose
 
@@ -119,16 +121,16 @@ def window_case(scene: Scene, points: int, keyframes: int) -> Case:
     config = replace(config, window=replace(config.window, keyframes=keyframes))
     noise, rng = kernel_noise(config.noise), np.random.default_rng(0)
     prior = motion_information(config, DT)
-    window = Window(config, noise)
+    window = Window(config, noise, FUSED)
     for number in range(keyframes):
-        keyframe = make_keyframe(prepare(scene.frames[number]), config, rng)
-        index = select_points(keyframe, np.eye(4), points, prior, config.selection, noise, rng)
+        keyframe = make_keyframe(prepare(scene.frames[number]), config, rng, FUSED)
+        index = select_points(keyframe, np.eye(4), points, prior, config.selection, noise, rng, FUSED)
         off = WRONG * rng.normal(size=6) if number else np.zeros(6)
         window.add(keyframe, retract(off, scene.T_cam_world[number]), np.zeros(2), index)
-    start = (list(window.keyframes), window.T_kf_world, window.affine, window.inv_depth)
+    start = window.members
 
     def optimise() -> Any:
-        window.keyframes, window.T_kf_world, window.affine, window.inv_depth = list(start[0]), *start[1:]
+        window.members = start
         return window.optimise()
 
     return optimise
@@ -150,7 +152,7 @@ def median_ms(cases: Sequence[Case], repeats: int) -> list[float]:
 
 
 def _keyframe(scene: Scene, config: Config) -> Keyframe:
-    return make_keyframe(prepare(scene.frames[0]), config, np.random.default_rng(0))
+    return make_keyframe(prepare(scene.frames[0]), config, np.random.default_rng(0), FUSED)
 
 
 def _guess(scene: Scene) -> Array:

@@ -16,7 +16,7 @@ from .task import Measured, Task
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ..methods import Method
+    from ..comparison.methods import Method
 
 FEW, MANY = 24, 256
 RIVALS = ("open3d", "opencv", "features", "edges")

@@ -9,8 +9,11 @@ from typing import Any
 
 from numba import njit
 
-# of all kernels: the cache only looks at a kernel's own file, and would keep it when one that it calls has changed
-SOURCES = sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()[:8]
+# of all kernels and what they share: the cache only looks at a kernel's own file, and would keep it when one that it
+# calls has changed
+HERE = Path(__file__).parent
+FILES = [path for path in (*sorted(HERE.glob("*.py")), HERE.parent / "measurement.py") if path.exists()]
+SOURCES = sha256(b"".join(path.read_bytes() for path in FILES)).hexdigest()[:8]
 
 
 def kernel(function: Callable[..., Any]) -> Any:

@@ -6,7 +6,7 @@ from math import exp, sqrt
 
 import numpy as np
 
-from ..measurement import PATTERN_U, PATTERN_V
+from ..measurement import OTHER_SURFACE, PATTERN_U, PATTERN_V
 from .compiled import kernel
 from .image import sample, sample_inverse_depth
 from .photometric import (
@@ -21,14 +21,17 @@ from .photometric import (
 
 
 @kernel
-def linearise(image, depth, cam, level, points, index, pixels, T, affine, scale, limit, noise, H, b, rms):
+def linearise(view, level, points, subset, state, scale, limit, noise, system):
     """Normal equations of one level at one pose.
 
-    cam: (4,) fx fy cx cy of this level. index: points to use. pixels: patch pixels to use (1 or 8).
-    scale: robust scale of the whitened residuals; limit: saturation of a point's rms in units of scale.
-    Fills H (8, 8), b (8,) = -J^T W r for [v, w, a, b] and rms (len(index),), -1 where a point is not seen.
+    view: View; subset: the points and pixels that count; state: State. scale: robust scale of the whitened residuals;
+    limit: saturation of a point's rms in units of scale. Fills system: System.
     Returns (energy, points seen, points within the limit).
     """
+    image, depth, cam = view.images[level], view.depth, view.cameras[level]
+    index, pixels = subset.which, subset.pixels
+    T, affine = state.T, state.affine
+    H, b, rms = system.H, system.b, system.rms
     fx, fy, cx, cy = cam[0], cam[1], cam[2], cam[3]
     size = 0.5**level
     gain = exp(affine[0])
@@ -160,8 +163,8 @@ def linearise(image, depth, cam, level, points, index, pixels, T, affine, scale,
                 w = 1.0 / variance
                 s = sqrt(r * r * w)
                 if s > huber:
-                    if s > 6.0 * huber:  # another surface: constant cost, no weight
-                        energy += 11.0 * huber * huber
+                    if s > OTHER_SURFACE * huber:  # another surface: constant cost, no weight
+                        energy += (2.0 * OTHER_SURFACE - 1.0) * huber * huber
                         continue
                     energy += huber * (2.0 * s - huber)
                     w *= huber / s

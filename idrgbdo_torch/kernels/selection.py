@@ -6,7 +6,7 @@ from math import log, sqrt
 
 import numpy as np
 
-from ..measurement import GRADIENT_NOISE
+from ..measurement import GRADIENT_NOISE, Rows
 from .compiled import kernel
 from .photometric import along_depth, distortion, distortion_weight, moved, photometric_variance, pose_jacobian
 from .solver import inverse_spd
@@ -75,7 +75,7 @@ def whitened_rows(cam, width, height, margin, points, index, T, noise):
             A[m, 2, 2] = s * rho * rho
             A[m, 2, 3] = s * rho * y
             A[m, 2, 4] = -s * rho * x
-    return A, seen, where
+    return Rows(A, seen, where)
 
 
 @kernel
@@ -141,13 +141,14 @@ def all_gains(columns, C):
 
 
 @kernel
-def select(A, seen, where, radius, m, information, spread, c_z, distance):
+def select(rows, radius, m, information, spread, c_z, distance):
     """Algorithm 1 over whitened rows, lazily: a gain can only shrink as points join, so a stale gain is a bound.
 
     radius: (N,) 0 at the principal point to 1; information: (6, 6) start, positive definite; spread: weight of the
     second term of Eq. 18 in bits; distance: px between chosen points (overlapping patches measure the same thing).
     Returns the chosen indices (<= m,) in order of choice.
     """
+    A, seen, where = rows.A, rows.seen, rows.where
     n = A.shape[0]
     barred = np.empty(n)  # 0, or -infinity for a point that is out of the race
     u = np.empty(n)

@@ -6,6 +6,7 @@ from math import sqrt
 
 import numpy as np
 
+from ..measurement import FLOOR, SETTLED, SETTLED_COARSE, Aligned, State, System
 from .compiled import kernel
 from .linearise import linearise
 from .se3 import compose, log_se3, retract
@@ -54,78 +55,60 @@ def smallest(values, count, k):
 
 
 @kernel
-def align(
-    images, depth, cams, points, index_coarse, pixels_coarse, index_fine, T0, affine0, prior, T_prior_inv,
-    affine_prior, noise, steps,
-):  # fmt: skip
-    """Coarse-to-fine damped Gauss-Newton from T0 (T_target_ref, (4, 4)).
+def align(view, points, coarse, fine, start, prior, noise, steps):
+    """Coarse-to-fine damped Gauss-Newton of a view against a keyframe's points, from a State (Aligned).
 
-    prior: (6, 6) information of T about T_prior (Eq. 19), affine_prior: (2, 2) information of the brightness about
-    affine0. steps: (L,) most iterations per level, finest first; the pyramid may have more levels. Returns T, affine,
-    H (8, 8) with the brightness prior but without the motion prior, rms of the fine points, scale, iterations, seen,
-    kept, the last step's size in standard deviations.
+    coarse, fine: Subsets for the finest level and for the others. prior: MotionPrior, of the brightness about the
+    start's. steps: (L,) most iterations per level, finest first; the pyramid may have more levels.
     """
-    T = T0.copy()
-    affine = affine0.copy()
-    affine_centre = affine0
-    H = np.empty((8, 8))
-    b = np.empty(8)
-    H_new = np.empty((8, 8))
-    b_new = np.empty(8)
-    rms = np.empty(index_fine.shape[0])
+    state = State(start.T.copy(), start.affine.copy())
+    affine_centre = start.affine
+    affine_prior = prior.affine_information
+    rms = np.empty(fine.which.shape[0])
+    system = System(np.empty((8, 8)), np.empty(8), rms)
+    trial = System(np.empty((8, 8)), np.empty(8), rms)
     scale = 1.0
     total = 0
     seen = 0
     kept = 0
     change = 0.0
     for level in range(steps.shape[0] - 1, -1, -1):
-        coarse = level > 0
-        index = index_coarse if coarse else index_fine
-        pixels = pixels_coarse if coarse else points.patch.shape[2]
-        image = images[level]
-        cam = cams[level]
-        if level == 0 or level == steps.shape[0] - 1:  # other points, or none so far to tell the scale
-            rms = np.empty(index.shape[0])
-            linearise(image, depth, cam, level, points, index, pixels, T, affine, 1.0, 1e9, noise, H, b, rms)
-        rounds = 1 if coarse else 2  # the second one works with the outlier limit from the first
+        finest = level == 0
+        subset = fine if finest else coarse
+        if finest or level == steps.shape[0] - 1:  # other points, or none so far to tell the scale
+            rms = np.empty(subset.which.shape[0])
+            system = System(system.H, system.b, rms)
+            trial = System(trial.H, trial.b, rms)
+            linearise(view, level, points, subset, state, 1.0, 1e9, noise, system)
+        rounds = 2 if finest else 1  # the second one works with the outlier limit from the first
         for turn in range(rounds):
-            settled = 1.0 if coarse else (0.5 if turn == 0 else 0.1)  # standard deviations
+            settled = SETTLED[turn] if finest else SETTLED_COARSE
             scale = robust_scale(rms)
             limit = noise.outlier
-            energy, seen, kept = linearise(
-                image, depth, cam, level, points, index, pixels, T, affine, scale, limit, noise, H, b, rms
-            )
-            energy += prior_terms(H, b, T, affine, affine_centre, prior, T_prior_inv, affine_prior)
+            energy, seen, kept = linearise(view, level, points, subset, state, scale, limit, noise, system)
+            energy += prior_terms(system, state, affine_centre, prior, affine_prior)
             damping = 0.0
             iterations = 0
             while iterations < steps[level]:
                 iterations += 1
-                A = H.copy()
+                A = system.H.copy()
                 for i in range(8):
-                    A[i, i] += damping * A[i, i] + 1e-9
-                solved, step = solve_spd(A, b)
+                    A[i, i] += damping * A[i, i] + FLOOR
+                solved, step = solve_spd(A, system.b)
                 if not solved:
                     break
-                change = sqrt(max(0.0, dot(step, b)))
-                T_new = retract(step[:6], T)
-                affine_new = affine + step[6:]
-                energy_new, seen_new, kept_new = linearise(
-                    image, depth, cam, level, points, index, pixels, T_new, affine_new, scale, limit, noise,
-                    H_new, b_new, rms
-                )  # fmt: skip
-                energy_new += prior_terms(
-                    H_new, b_new, T_new, affine_new, affine_centre, prior, T_prior_inv, affine_prior
-                )
+                change = sqrt(max(0.0, dot(step, system.b)))
+                new = State(retract(step[:6], state.T), state.affine + step[6:])
+                energy_new, seen_new, kept_new = linearise(view, level, points, subset, new, scale, limit, noise, trial)
+                energy_new += prior_terms(trial, new, affine_centre, prior, affine_prior)
                 # a point that leaves the image must not look like a gain
                 lost = max(0, seen - seen_new)
-                if np.isfinite(energy_new) and energy_new + lost * pixels <= energy:
-                    T = T_new
-                    affine = affine_new
+                if np.isfinite(energy_new) and energy_new + lost * subset.pixels <= energy:
+                    state = new
                     energy = energy_new
                     seen = seen_new
                     kept = kept_new
-                    H, H_new = H_new, H
-                    b, b_new = b_new, b
+                    system, trial = trial, system
                     damping *= 0.25
                     if damping < 1e-4:
                         damping = 0.0
@@ -138,32 +121,30 @@ def align(
             total += iterations
         if level == 1:
             # many coarse points know the brightness better than a few fine ones: it becomes their prior
-            affine_prior = brightness_information(H, affine_prior)
-            affine_centre = affine.copy()
+            affine_prior = brightness_information(system.H, affine_prior)
+            affine_centre = state.affine.copy()
     # the information and the residuals at the accepted pose
-    energy, seen, kept = linearise(
-        images[level], depth, cams[level], level, points, index_fine, points.patch.shape[2], T, affine, scale,
-        noise.outlier, noise, H, b, rms
-    )  # fmt: skip
+    energy, seen, kept = linearise(view, level, points, fine, state, scale, noise.outlier, noise, system)
     for k in range(2):
         for j in range(2):
-            H[6 + k, 6 + j] += affine_prior[k, j]
-    return T, affine, H, rms, scale, total, seen, kept, change
+            system.H[6 + k, 6 + j] += affine_prior[k, j]
+    return Aligned(state.T, state.affine, system.H, system.rms, scale, total, seen, kept, change)
 
 
 @kernel
-def prior_terms(H, b, T, affine, affine_centre, prior, T_prior_inv, affine_prior):
-    """Add the motion prior (Eq. 19) and the brightness prior to H and b; returns their energy."""
-    from_prior = log_se3(compose(T, T_prior_inv))
+def prior_terms(system, state, affine_centre, prior, affine_prior):
+    """Add the motion prior (Eq. 19) and the brightness prior to the system; returns their energy."""
+    H, b = system.H, system.b
+    from_prior = log_se3(compose(state.T, prior.T_inverse))
     energy = 0.0
     for i in range(6):
-        pull = dot(prior[i], from_prior)
+        pull = dot(prior.information[i], from_prior)
         energy += pull * from_prior[i]
         b[i] -= pull
         for j in range(6):
-            H[i, j] += prior[i, j]
-    off0 = affine[0] - affine_centre[0]
-    off1 = affine[1] - affine_centre[1]
+            H[i, j] += prior.information[i, j]
+    off0 = state.affine[0] - affine_centre[0]
+    off1 = state.affine[1] - affine_centre[1]
     for k in range(2):
         b[6 + k] -= affine_prior[k, 0] * off0 + affine_prior[k, 1] * off1
         for j in range(2):

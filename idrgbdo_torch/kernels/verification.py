@@ -6,17 +6,17 @@ from math import exp, sqrt
 
 import numpy as np
 
+from ..measurement import NEAR_SHARE, NEAR_SIGMAS, Agreement
 from .compiled import kernel
 from .image import sample, sample_inverse_depth
 from .photometric import moved
 
 
 @kernel
-def verify(image, depth, cam, level, points, patch, index, T, affine, noise, limit):
-    """How many points a pose explains: (seen, agreeing in brightness, with depth, agreeing in depth).
-
-    patch: (N, P) reference intensities of the level; limit: gray levels.
-    """
+def verify(view, level, points, index, state, noise, limit):
+    """How many of some points a State explains in a View on a level (Agreement); limit: gray levels."""
+    image, depth, cam = view.images[level], view.depth, view.cameras[level]
+    patch, T, affine = points.patch[level], state.T, state.affine
     fx, fy, cx, cy = cam[0], cam[1], cam[2], cam[3]
     size = 0.5**level
     up = 1.0 / size
@@ -45,9 +45,9 @@ def verify(image, depth, cam, level, points, patch, index, T, affine, noise, lim
         if ok:
             with_depth += 1
             rho = d / qz
-            if abs(measured - rho) < 4.0 * sqrt(noise.var_depth + points.var_inv_depth[p]) + 0.02 * rho:
+            if abs(measured - rho) < NEAR_SIGMAS * sqrt(noise.var_depth + points.var_inv_depth[p]) + NEAR_SHARE * rho:
                 near += 1
-    return seen, bright, with_depth, near
+    return Agreement(seen, bright, with_depth, near)
 
 
 @kernel

@@ -6,7 +6,7 @@ from math import exp, sqrt
 
 import numpy as np
 
-from ..measurement import PATTERN_U, PATTERN_V
+from ..measurement import OTHER_SURFACE, PATTERN_U, PATTERN_V
 from .compiled import kernel
 from .image import sample, sample_inverse_depth
 from .photometric import (
@@ -23,17 +23,14 @@ from .solver import dot, multiply
 
 
 @kernel
-def linearise_window(
-    images, depths, slots, cam, T_cam_world, T_linear, affine, inv_depth, points, hosts, limit, noise,
-    H, b, Hd, cross, bd, rms
-):  # fmt: skip
-    """Normal equations of the window.
+def linearise_window(views, state, points, hosts, limit, noise, system):
+    """Normal equations of the window: views Views, state WindowState, points WindowPoints; fills a WindowSystem.
 
-    images, depths: (S, H, W) slot buffers; slots (K,). T_cam_world (K, 4, 4): where residuals are taken; T_linear:
-    where geometric Jacobians are taken (first estimates). affine (K, 2). hosts (K,) bool: whose points take part.
-    Fills H (8K, 8K), b (8K,) of the poses and brightness, Hd (K, N), bd (K, N) of the inverse depths,
-    cross (K, N, 8K), rms (K, N, K) whitened, -1 unseen. Returns the energy.
+    hosts (K,) bool: whose points take part. limit: of a point's rms. Returns the energy.
     """
+    images, depths, slots, cam = views.images, views.depths, views.slots, views.camera
+    T_cam_world, T_linear, affine, inv_depth = state.T, state.T_linear, state.affine, state.inv_depth
+    H, b, Hd, bd, cross, rms = system.H, system.b, system.Hd, system.bd, system.cross, system.rms
     K, N = inv_depth.shape
     fx, fy, cx, cy = cam[0], cam[1], cam[2], cam[3]
     H[:] = 0.0
@@ -188,8 +185,8 @@ def linearise_window(
                         r = measured - rho
                         w = 1.0 / (noise.var_depth + noise.var_pixel * (gu * gu + gv * gv))
                         s = sqrt(r * r * w)
-                        if s > 6.0 * huber:
-                            energy += 11.0 * huber * huber
+                        if s > OTHER_SURFACE * huber:
+                            energy += (2.0 * OTHER_SURFACE - 1.0) * huber * huber
                         else:
                             if s > huber:
                                 energy += huber * (2.0 * s - huber)
@@ -234,8 +231,9 @@ def linearise_window(
 
 
 @kernel
-def eliminate_depths(H, b, Hd, cross, bd):
+def eliminate_depths(system):
     """Schur complement of the inverse depths, whose block is diagonal: (8K, 8K) and (8K,) of poses and brightness."""
+    H, b, Hd, cross, bd = system.H, system.b, system.Hd, system.cross, system.bd
     n = H.shape[0]
     K, N = Hd.shape
     out = H.copy()

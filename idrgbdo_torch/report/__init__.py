@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from .comparison_page import comparison_page
 from .run_page import run_page
-from .snapshots import HasLastPoints, Snapshot, watch
+from .snapshots import Snapshot, watch
 
-__all__ = ["HasLastPoints", "Snapshot", "comparison_page", "run_page", "watch"]
+__all__ = ["Snapshot", "comparison_page", "run_page", "watch"]

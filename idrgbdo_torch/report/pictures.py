@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..frame import BrokenFrame, RgbdFrame
 from ..odometry import Record
+from ..tracker.inspection import Inspectable
 
 Picture = NDArray[np.uint8]  # (H, W, 3) RGB
 Color = tuple[int, int, int]
@@ -25,17 +26,6 @@ CAPTION = 26  # px, height of the line above
 SHIFT = 4  # bits of a pixel's fraction in OpenCV's drawing
 WHITE, INK, GRAY, PALE = (255, 255, 255), (30, 30, 30), (190, 190, 190), (228, 228, 228)
 BLUE, RED = (31, 98, 201), (205, 48, 48)
-
-
-@runtime_checkable
-class HasPoints(Protocol):
-    """An odometry that says which points it used in the last frame."""
-
-    def last_points(self) -> tuple[Tensor, Tensor]:
-        """(N, 2) px in that frame, and (N,) bits that each adds."""
-
-    def last_candidates(self) -> Tensor:
-        """(M, 2) px of all points that could have been chosen."""
 
 
 def draw_frames(
@@ -56,7 +46,7 @@ def draw_frames(
         result = records[-1].result
         keyframes += result.keyframe
         wanted = number % EVERY == 0 or (result.keyframe and keyframes <= FIRST_KEYFRAMES)
-        if wanted and isinstance(frame, RgbdFrame) and isinstance(odometry, HasPoints):
+        if wanted and isinstance(frame, RgbdFrame) and isinstance(odometry, Inspectable):
             uv, bits = odometry.last_points()
             what = f"keyframe {keyframes}" if result.keyframe else result.status.value
             candidates = odometry.last_candidates()

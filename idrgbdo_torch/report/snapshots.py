@@ -5,23 +5,15 @@ from __future__ import annotations
 import base64
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
 from torch import Tensor
 
 from ..frame import BrokenFrame, RgbdFrame
+from ..tracker.inspection import Inspectable
 
 WIDTH = 480  # px of an embedded image
-
-
-@runtime_checkable
-class HasLastPoints(Protocol):
-    """An odometry that says what it tracked last."""
-
-    def last_points(self) -> tuple[Tensor, Tensor]:
-        """(N, 2) px in the last frame, and (N,) what each is worth in bits."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +35,7 @@ def watch(
     """
     for number, frame in enumerate(frames):
         yield frame
-        if number in picks and isinstance(odometry, HasLastPoints) and isinstance(frame, RgbdFrame):
+        if number in picks and isinstance(odometry, Inspectable) and isinstance(frame, RgbdFrame):
             gray = frame.gray.round().clamp(0, 255)[..., None].expand(-1, -1, 3)
             image = (gray if frame.color is None else frame.color).numpy().astype(np.uint8)
             into.append(Snapshot(frame.timestamp, image, *odometry.last_points()))

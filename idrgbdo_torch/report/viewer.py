@@ -16,18 +16,20 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..config import NoiseConfig
 from ..definitions.camera import backproject, project
 from ..definitions.se3 import inverse, transform
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from ..odometry import Record, Status
-from ..tracker.id_rgbdo import IdRgbdo
+from ..tracker.inspection import Inspectable
 from ..tracker.mapping import keyframe_cloud
 from ..trajectory import Trajectory, nearest
 from .pictures import information_colors
 
 FREEDOMS = ("x", "y", "z", "rotation x", "rotation y", "rotation z")
 CHUNK = 30  # poses of one piece of the path: a piece is sent again as it grows, the whole path never
+OUTLIER = NoiseConfig().outlier  # standard deviations: a residual drawn in full red
 JPEG = 80  # quality of the images
 BLUE, GRAY, GOLD, RED = (31, 98, 201), (150, 150, 150), (230, 160, 20), (205, 48, 48)
 STATUS_LEVEL = {Status.OK: "INFO", Status.WEAK: "WARN", Status.LOST: "ERROR"}
@@ -79,7 +81,7 @@ class Viewer:
         for frame in frames:
             before = len(records)
             yield frame
-            if len(records) > before and isinstance(odometry, IdRgbdo):
+            if len(records) > before and isinstance(odometry, Inspectable):
                 record = records[-1]
                 if self._number == 0 and reference is not None and len(reference):
                     self.show_reference(reference, frame.timestamp, record.result.T_world_cam.numpy())
@@ -91,7 +93,7 @@ class Viewer:
         positions = transform(torch.from_numpy(T_world_cam) @ inverse(first), reference.positions)
         self._log("world/reference", self._rr.LineStrips3D([positions.numpy()], colors=GRAY), static=True)
 
-    def show(self, frame: RgbdFrame | BrokenFrame, record: Record, odometry: IdRgbdo) -> None:
+    def show(self, frame: RgbdFrame | BrokenFrame, record: Record, odometry: Inspectable) -> None:
         """One frame that has just been tracked."""
         begin = frame.timestamp if self._begin is None else self._begin
         self._begin = begin
@@ -122,17 +124,18 @@ class Viewer:
         pixels = frame.gray.round().clamp(0, 255).to(torch.uint8) if frame.color is None else frame.color
         self._log("world/camera/image", rr.Image(pixels.numpy()).compress(jpeg_quality=JPEG))
 
-    def _show_points(self, odometry: IdRgbdo, record: Record) -> None:
+    def _show_points(self, odometry: Inspectable, record: Record) -> None:
         """The points tracked, coloured by information; around each a ring coloured by its residual; in space too."""
         rr = self._rr
         uv, bits = odometry.last_points()
         colors = information_colors(bits.numpy() / max(float(bits.max()), 1e-9)) if len(bits) else []
         self._log("world/camera/image/points", rr.Points2D(uv.numpy(), colors=colors, radii=4.0))
-        if odometry.last is None:
+        aligned = odometry.last_alignment()
+        if aligned is None:
             self._log("world/camera/image/residuals", rr.Clear(recursive=False))
             self._log("world/camera/points", rr.Clear(recursive=False))
             return
-        keyframe, tracked = odometry.last
+        keyframe, tracked = aligned
         seen = tracked.rms >= 0.0
         index = tracked.index[seen]
         camera = keyframe.frame.camera
@@ -141,7 +144,7 @@ class Viewer:
         P = transform(torch.from_numpy(tracked.T_frame_kf), P)
         at, _ = project(camera, P)
         rms = tracked.rms[seen]
-        heat = np.clip(rms / odometry.config.noise.outlier, 0.0, 1.0)[:, None]
+        heat = np.clip(rms / OUTLIER, 0.0, 1.0)[:, None]
         colors = ((1 - heat) * np.array([40, 200, 90]) + heat * np.array(RED)).astype(np.uint8)
         labels = [f"{value:.1f} sigma" for value in rms]
         residuals = rr.Points2D(at.numpy(), colors=colors, radii=2.0, labels=labels, show_labels=False)
@@ -149,26 +152,28 @@ class Viewer:
         self._log("world/camera/points", rr.Points3D(P.numpy(), colors=colors, radii=0.008))
         self._log("numbers/median residual", rr.Scalars(float(np.median(rms)) if len(rms) else 0.0))
 
-    def _show_keyframes(self, odometry: IdRgbdo) -> None:
+    def _show_keyframes(self, odometry: Inspectable) -> None:
         """The newest keyframe with its points; the window's poses as refined."""
         rr = self._rr
-        newest = len(odometry.keyframe_poses) - 1
+        held = odometry.window_keyframes()
+        if not held:
+            return
         centres = []
-        for number in sorted({*odometry.in_window, newest}):
-            T_world_kf = np.linalg.inv(odometry.keyframe_poses[number])
+        for number, (_, T_kf_world) in held.items():
+            T_world_kf = np.linalg.inv(T_kf_world)
             centres.append(T_world_kf[:3, 3])
             pose = rr.Transform3D(translation=T_world_kf[:3, 3], mat3x3=T_world_kf[:3, :3])
             self._log(f"world/keyframes/{number}", pose)
         self._log("world/window", rr.LineStrips3D([centres], colors=GOLD, radii=0.003))
-        if odometry.keyframe is None:
-            return
-        camera = odometry.keyframe.frame.camera
+        newest = max(held)
+        keyframe = held[newest][0]
+        camera = keyframe.frame.camera
         frustum = rr.Pinhole(
             focal_length=(camera.fx, camera.fy), width=camera.width, height=camera.height, image_plane_distance=0.05,
             color=GOLD,
         )  # fmt: skip
         self._log(f"world/keyframes/{newest}/frustum", frustum, static=True)
-        cloud = keyframe_cloud(odometry.keyframe)
+        cloud = keyframe_cloud(keyframe)
         points = rr.Points3D(cloud.xyz, colors=cloud.rgb, radii=0.004)
         self._log(f"world/keyframes/{newest}/points", points)
 

@@ -9,17 +9,17 @@ import os
 from datetime import datetime
 from pathlib import Path
 from statistics import fmean, median
-from typing import IO, Any, Protocol, Self, runtime_checkable
+from typing import IO, Any, Self
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from ..errors import IdRgbdoError
 from ..evaluation import Evaluation, Measurement
 from ..odometry import Odometry, Record, Run, Status
-from ..tracker.mapping import Cloud, world_cloud, write_ply
+from ..tracker.inspection import Inspectable
+from ..tracker.mapping import write_ply
 from ..trajectory import TUM_HEADER, Trajectory, nearest, read_tum, tum_line, write_tum
 
 DEGREES_OF_FREEDOM = ("vx", "vy", "vz", "wx", "wy", "wz")
@@ -31,14 +31,6 @@ COLUMNS = (
     *(f"information_{DEGREES_OF_FREEDOM[row]}_{DEGREES_OF_FREEDOM[column]}" for row, column in UPPER),
 )
 OWN_FILES = ("trajectory.txt", "trajectory_refined.txt", "keyframes.txt", "frames.csv", "config.toml", "summary.json")
-
-
-@runtime_checkable
-class HasMap(Protocol):
-    """An odometry that keeps a map: a cloud for each keyframe, and where the keyframes are."""
-
-    clouds: list[Cloud]
-    keyframe_poses: list[NDArray[np.float64]]  # (4, 4) T_kf_world
 
 
 class RunFolder:
@@ -98,8 +90,8 @@ class RunFolder:
                 self._keyframes.close()
                 write_tum(self.path / "keyframes.part", refined.at(_indices(refined, times)))
                 (self.path / "keyframes.part").replace(self.path / "keyframes.txt")
-        if with_map and isinstance(odometry, HasMap):
-            write_ply(self.path / "map.ply", world_cloud(odometry.clouds, odometry.keyframe_poses))
+        if with_map and isinstance(odometry, Inspectable):
+            write_ply(self.path / "map.ply", odometry.map())
         summary = summarise(run, evaluation)
         (self.path / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
         return summary

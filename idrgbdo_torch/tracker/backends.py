@@ -1,51 +1,119 @@
-"""What the tracker computes with: fused kernels, or the same functions in plain torch.
+"""What the tracker computes with: the fused kernels, or the definitions in plain torch.
 
-Both are packages with files of the same names and functions of the same arguments. torch is the definition and some
-fifty times slower for one pair of frames; fused is what runs unless told otherwise.
+Both answer the same calls with the same numpy arrays and give the same results. The definitions are some fifty times
+slower for one pair of frames; the kernels are what runs unless told otherwise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from types import ModuleType
+from collections.abc import Sequence
+from typing import Protocol
 
-from ..config import BackendName
-from ..definitions import candidates as torch_candidates
-from ..definitions import marginalization as torch_marginal
-from ..definitions import selection as torch_choice
-from ..definitions import tracking as torch_alignment
-from ..definitions import verification as torch_agreement
-from ..definitions import window as torch_bundle
-from ..kernels import candidates
-from ..kernels import marginalization as marginal
-from ..kernels import selection as choice
-from ..kernels import tracking as alignment
-from ..kernels import verification as agreement
-from ..kernels import window as bundle
-
-
-@dataclass(frozen=True)
-class Backend:
-    """The files of one of the two packages. Algorithm 1 in torch is selection.select_informative."""
-
-    name: BackendName
-    agreement: ModuleType  # verify, displacement
-    alignment: ModuleType  # align, robust_scale
-    bundle: ModuleType  # linearise_window, eliminate_depths
-    candidates: ModuleType  # block_thresholds, candidate_scores, grid_candidates, planes_at, sample_patches, ...
-    choice: ModuleType  # whitened_rows; select in the fused one
-    marginal: ModuleType  # marginalize, redundancy
-
-    def __reduce__(self) -> tuple[Callable[[BackendName], Backend], tuple[BackendName]]:
-        """Kept by name where the state of a run is pickled: modules cannot be."""
-        return backend_named, (self.name,)
+from ..config import BackendName, SelectionConfig
+from ..definitions.camera import Pinhole
+from ..definitions.marginalization import LinearPrior
+from ..measurement import (
+    Agreement,
+    Aligned,
+    Array,
+    MotionPrior,
+    Noise,
+    Points,
+    Rows,
+    State,
+    Subset,
+    View,
+    Views,
+    WindowPoints,
+    WindowState,
+    WindowSystem,
+)
+from .defined import Defined
+from .fused import Fused
 
 
-FUSED = Backend("fused", agreement, alignment, bundle, candidates, choice, marginal)
-TORCH = Backend("torch", torch_agreement, torch_alignment, torch_bundle, torch_candidates, torch_choice, torch_marginal)
+class Backend(Protocol):
+    """The computations of the tracker by name. What each means stands with its definition in definitions/."""
+
+    # candidates (section 4.1, steps 1 and 2)
+
+    def gradient_squared(self, image: Array) -> Array:
+        """(H, W) of an image."""
+
+    def block_thresholds(self, gradient2: Array, block: int, offset: float) -> Array:
+        """One threshold for each block of the image."""
+
+    def candidate_scores(self, gradient2: Array, thresholds: Array, block: int, edges: Array, depth: Array) -> Array:
+        """(H, W) scores, -1 where there is no candidate."""
+
+    def grid_candidates(
+        self, scores: Array, depth: Array, cell: int, border: int, radius: int, sigma: float
+    ) -> tuple[Array, Array, Array]:
+        """uv (M, 2), inverse depth (M,), tier (M,): one candidate a cell."""
+
+    def planes_at(self, depth: Array, uv: Array, radius: int, sigma: float) -> tuple[Array, Array]:
+        """Whether there is a plane around pixels uv (N, 2), and their inverse depths (N,)."""
+
+    def first_of_cells(self, cells: Array, order: Array, count: int) -> Array:
+        """At most count indices, spread over the cells (N,)."""
+
+    def sample_patches(
+        self, images: Sequence[Array], uv: Array, index: Array, levels: range, patch: Array, gradient: Array
+    ) -> None:
+        """Fill patch (L, N, P) and gradient (L, N, P, 2) of some points on some levels."""
+
+    # selection (section 4.1, step 3)
+
+    def whitened_rows(
+        self, camera: Pinhole, margin: float, points: Points, index: Array, T: Array, noise: Noise
+    ) -> Rows:
+        """What some points tell about a pose T_target_host (4, 4)."""
+
+    def select(self, rows: Rows, radius: Array, m: int, information: Array, config: SelectionConfig) -> Array:
+        """Algorithm 1: indices (<= m,) in order of choice."""
+
+    # tracking (section 4.2) and its verification
+
+    def align(
+        self, view: View, points: Points, coarse: Subset, fine: Subset, start: State, prior: MotionPrior, noise: Noise,
+        steps: Array,
+    ) -> Aligned:  # fmt: skip
+        """A view against a keyframe's points, coarse to fine."""
+
+    def verify(
+        self, view: View, level: int, points: Points, index: Array, state: State, noise: Noise, limit: float
+    ) -> Agreement:
+        """How many points agree with a pose."""
+
+    def displacement(self, camera: Array, points: Points, index: Array, T_a: Array, T_b: Array) -> float:
+        """Mean distance in px of points at two poses."""
+
+    def freedom_entropies(self, information: Array) -> Array:
+        """Bits (6,) of each degree of freedom given the others (section 5.1)."""
+
+    # window (section 5.2)
+
+    def robust_scale(self, rms: Array) -> float:
+        """Of whitened residuals (N,), -1 unseen."""
+
+    def linearise_window(
+        self, views: Views, state: WindowState, points: WindowPoints, hosts: Array, limit: float, noise: Noise
+    ) -> tuple[float, WindowSystem]:
+        """Energy and normal equations of a window."""
+
+    def eliminate_depths(self, system: WindowSystem) -> tuple[Array, Array]:
+        """(8K, 8K) and (8K,) of poses and brightness."""
+
+    def marginalize(self, H: Array, b: Array, marginal: Array) -> LinearPrior:
+        """What normal equations leave when the marked variables (n,) bool are gone."""
+
+    def redundancy(self, information: Array) -> Array:
+        """Eq. 26: psi (K,) in bits of keyframe poses with the information (6K, 6K)."""
+
+
+BACKENDS: dict[BackendName, Backend] = {"fused": Fused(), "torch": Defined()}
 
 
 def backend_named(name: BackendName) -> Backend:
     """The backend of that name."""
-    return {"fused": FUSED, "torch": TORCH}[name]
+    return BACKENDS[name]

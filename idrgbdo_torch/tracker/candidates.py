@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from ..config import Config
 from ..frame import Frame
-from .backends import FUSED, Backend, backend_named
+from ..measurement import inverse_depth_sigma
+from .backends import Backend
 from .selection import grid_cells
 
 Array = NDArray[np.float64]
@@ -23,38 +24,32 @@ BORDER = 4  # px, room for the patch and its gradients
 EVERYWHERE = 8  # px, side of a grid cell in mode "inf": as good as no grid, without patches on top of each other
 
 
-def inverse_depth_sigma(config: Config) -> float:
-    """Eq. 10 as a number (camera.inverse_depth_sigma is its home)."""
-    return config.noise.sigma_disparity / config.noise.focal_baseline
-
-
-def extract_candidates(frame: Frame, config: Config, rng: Generator) -> tuple[Array, Array, Index]:
-    """uv (N, 2), inverse depth (N,), tier (N,) of the pixels worth choosing from; rand takes any pixel with depth."""
-    computing, mode = backend_named(config.backend).candidates, config.selection.mode
-    sigma = inverse_depth_sigma(config)
+def extract_candidates(frame: Frame, config: Config, rng: Generator, backend: Backend) -> tuple[Array, Array]:
+    """uv (N, 2), inverse depth (N,) of the pixels worth choosing from; rand takes any pixel with depth."""
+    mode = config.selection.mode
+    sigma = inverse_depth_sigma(config.noise.focal_baseline, config.noise.sigma_disparity)
     height, width = frame.depth.shape
     if mode == "rand":
         tries = 2 * config.candidates
         u = rng.integers(BORDER, width - BORDER, tries)
         v = rng.integers(BORDER, height - BORDER, tries)
         uv: Array = rng.permutation(np.unique(np.column_stack([u, v]), axis=0)).astype(np.float64)
-        valid, inv_depth = computing.planes_at(frame.depth, uv, PLANE_RADIUS, sigma)
+        valid, inv_depth = backend.planes_at(frame.depth, uv, PLANE_RADIUS, sigma)
         keep = np.flatnonzero(valid)[: config.candidates]
-        return uv[keep], inv_depth[keep], np.zeros(len(keep), dtype=np.int64)
-    gradient2 = computing.gradient_squared(frame.images[0])
-    thresholds = computing.block_thresholds(gradient2, BLOCK, THRESHOLD_OFFSET)
+        return uv[keep], inv_depth[keep]
+    gradient2 = backend.gradient_squared(frame.images[0])
+    thresholds = backend.block_thresholds(gradient2, BLOCK, THRESHOLD_OFFSET)
     edges = cv2.Canny(frame.images[0].astype(np.uint8), *CANNY, L2gradient=True)
     grid = max(EVERYWHERE, round(float(np.sqrt(width * height / config.candidates))))
     cell = EVERYWHERE if mode == "inf" else grid
-    scores = computing.candidate_scores(gradient2, thresholds, BLOCK, edges, frame.depth)
-    uv, inv_depth, tier = computing.grid_candidates(scores, frame.depth, cell, BORDER, PLANE_RADIUS, sigma)
-    return uv, inv_depth, tier
+    scores = backend.candidate_scores(gradient2, thresholds, BLOCK, edges, frame.depth)
+    uv, inv_depth, _ = backend.grid_candidates(scores, frame.depth, cell, BORDER, PLANE_RADIUS, sigma)
+    return uv, inv_depth
 
 
-def spread_out(uv: Array, count: int, width: int, height: int, backend: Backend = FUSED) -> Index:
+def spread_out(uv: Array, count: int, width: int, height: int, backend: Backend) -> Index:
     """About `count` indices spread evenly over the image, always the same ones."""
     if len(uv) <= count:
         return np.arange(len(uv))
     order = np.random.default_rng(0).permutation(len(uv))
-    chosen: Index = backend.candidates.first_of_cells(grid_cells(uv, count, width, height), order, count)
-    return chosen
+    return backend.first_of_cells(grid_cells(uv, count, width, height), order, count)

@@ -13,16 +13,19 @@ from .. import configfile
 from ..config import Config
 from ..frame import Frame, Keyframe, RgbdFrame, prepare
 from ..kernels.se3 import inverse
-from ..measurement import RATE, Noise, kernel_noise, with_blur
+from ..measurement import Noise, State, kernel_noise, with_blur
 from ..odometry import Status, TrackResult
 from ..trajectory import Trajectory
 from .alignment import align, displacement
 from .backends import backend_named
-from .keyframe import freedom_entropies, make_keyframe, wants_keyframe
-from .mapping import NOTHING, Cloud, condense, keyframe_cloud, world_cloud
+from .history import History
+from .keyframe import make_keyframe, wants_keyframe
+from .mapping import NOTHING, Cloud, keyframe_cloud
+from .motion import Motion, turn_rate
+from .reference import Reference
 from .selection import point_bits, select_points
-from .tracking import Tracked, motion_information, predict, turn_rate
-from .verification import LOST_BELOW, WEAK_BELOW, unsure
+from .tracking import Pair, Tracked, motion_information
+from .verification import LIMITS, unsure
 from .warmup import warm_up
 from .window import Window
 
@@ -31,6 +34,7 @@ Index = NDArray[np.int64]
 
 FEWEST_CANDIDATES = 16  # that make a keyframe
 PATIENCE = 3  # lost frames in a row before a new segment starts
+KEYFRAME_GAP = 1.0 / 30.0  # s, gap of the motion prior that a new keyframe's points are chosen with
 
 
 class IdRgbdo:
@@ -51,135 +55,107 @@ class IdRgbdo:
     def reset(self, T_world_cam: Tensor | None = None) -> None:
         """Forget everything; the next frame gets the pose T_world_cam (identity by default)."""
         self.rng = np.random.default_rng(self.config.seed)
-        self.keyframe: Keyframe | None = None
-        self.window = Window(self.config, self.noise)
-        self.T_cam_world = np.eye(4) if T_world_cam is None else inverse(T_world_cam.double().numpy())
-        self.T_kf_world = self.T_cam_world
-        self.T_previous = self.T_cam_world  # of the frame before the last, for the constant velocity
-        self.dt_previous = 0.0  # s, between those two; 0 where there is no velocity
-        self.pose_time = 0.0  # s, of the last pose that was measured: lost frames since then do not count
-        self.surprise_px = np.inf  # px in the image between the last frame's guess and pose
-        self.turn = np.zeros(3)  # rad/s, of the last frame
-        self.keyframe_turn = np.zeros(3)  # and of the keyframe
-        self.affine = np.zeros(2)
-        self.index = np.zeros(0, dtype=np.int64)  # the points being tracked, among the keyframe's candidates
-        self.T_chosen = np.eye(4)  # the guess of T_frame_kf that they were chosen for
-        self.entropies: list[Array] = []  # per degree of freedom, of the frames tracked since the keyframe
+        self.motion = Motion.at(np.eye(4) if T_world_cam is None else inverse(T_world_cam.double().numpy()))
+        self.reference: Reference | None = None
+        self.window = Window(self.config, self.noise, self.backend)
+        self.history = History()
         self.lost_in_a_row = 0
-        self.segment = 0
-        self.times: list[float] = []
-        self.references: list[int] = []  # number of the keyframe of every frame
-        self.T_cam_kf: list[Array] = []
-        self.keyframe_poses: list[Array] = []  # T_kf_world of every keyframe, refined as long as it is in the window
-        self.keyframe_times: list[float] = []
-        self.in_window: list[int] = []  # which of them that are
-        self.clouds: list[Cloud] = []  # map points of every keyframe that has left the window
         self.last: tuple[Keyframe, Tracked] | None = None  # what the last frame was tracked against
 
     def track(self, rgbd: RgbdFrame) -> TrackResult:
         """The pose of the next frame (sections 4 and 5)."""
-        frame = prepare(rgbd)
-        if self.keyframe is None:
+        frame, motion, reference = prepare(rgbd), self.motion, self.reference
+        if reference is None:
             return self._start_segment(frame, "too few points with depth and texture to start from")
-        dt = frame.timestamp - self.pose_time
-        dt = dt if dt > 0.0 else 1.0 / RATE  # out of order, the time says nothing
-        ratio = min(dt / self.dt_previous, 3.0) if self.dt_previous > 0.0 else 0.0
-        guess = predict(self.T_cam_world, self.T_previous, ratio) @ inverse(self.T_kf_world)
+        dt = motion.gap(frame.timestamp)
+        guess = motion.predicted(dt) @ inverse(reference.T_kf_world)
+        resting = motion.T_cam_world @ inverse(reference.T_kf_world)
         prior = motion_information(self.config, dt)
-        resting = self.T_cam_world @ inverse(self.T_kf_world)
-        self.turn = turn_rate(guess, resting, dt)
-        noise = with_blur(self.noise, self.config.noise, frame.camera.fx, self.turn, self.keyframe_turn)
-        index = self._choose(self.keyframe, guess, prior, noise)
-        tracked, verdict, self.surprise_px = align(
-            frame, self.keyframe, guess, resting, self.affine, index, prior, noise, self.config.tracking.levels,
-            self.surprise_px, self.backend,
+        motion.turn = turn_rate(guess, resting, dt)
+        noise = with_blur(self.noise, self.config.noise, frame.camera.fx, motion.turn, reference.turn)
+        pair = Pair(frame, reference.keyframe, noise, self.backend)
+        self._choose(reference, pair, guess, prior)
+        tracked, verdict, motion.surprise_px = align(
+            pair, State(guess, reference.affine), resting, reference.index, prior, self.config.tracking.levels,
+            motion.surprise_px,
         )  # fmt: skip
-        if reason := verdict.doubt(LOST_BELOW):
+        if reason := verdict.doubt(LIMITS.lost):
             return self._lost(frame, reason)
-        entropies = freedom_entropies(tracked.information)
+        entropies = self.backend.freedom_entropies(tracked.information)
         after_loss = "the frame before was lost" if self.lost_in_a_row else ""
-        reason = verdict.doubt(WEAK_BELOW) or unsure(entropies) or after_loss
-        self.entropies.append(entropies)
-        self._move(tracked.T_frame_kf @ self.T_kf_world, 0.0 if self.lost_in_a_row else dt)
-        self.affine, self.lost_in_a_row = tracked.affine, 0
-        result = self._result(frame, tracked, Status.WEAK if reason else Status.OK, reason, entropies)
-        if wants_keyframe(self.entropies, self.config.keyframe) and self._new_keyframe(frame):
-            result = replace(result, keyframe=True, T_world_cam=torch.from_numpy(inverse(self.T_cam_world)))
+        reason = verdict.doubt(LIMITS.weak) or unsure(entropies) or after_loss
+        reference.entropies.append(entropies)
+        reference.affine = tracked.affine
+        motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame.timestamp, 0.0 if self.lost_in_a_row else dt)
+        self.lost_in_a_row = 0
+        result = self._measured(frame, reference, tracked, Status.WEAK if reason else Status.OK, reason)
+        if wants_keyframe(reference.entropies, self.config.keyframe) and self._new_keyframe(frame):
+            result = replace(result, keyframe=True, T_world_cam=torch.from_numpy(inverse(self.motion.T_cam_world)))
         return result
 
-    def _choose(self, keyframe: Keyframe, T_frame_kf: Array, prior: Array, noise: Noise) -> Index:
+    def _choose(self, reference: Reference, pair: Pair, T_frame_kf: Array, prior: Array) -> None:
         """The points to track: chosen anew when the view has moved by the margin that kept them inside the image."""
         if not self.config.selection.per_frame:
-            return self.index
-        if displacement(keyframe, self.T_chosen, T_frame_kf, self.backend) < self.config.selection.margin:
-            return self.index
-        self.T_chosen = T_frame_kf
-        self.index = self._select(keyframe, T_frame_kf, self.config.selection.points, prior, noise)
-        return self.index
+            return
+        if displacement(pair, reference.T_chosen, T_frame_kf) < self.config.selection.margin:
+            return
+        reference.T_chosen = T_frame_kf
+        reference.index = self._select(reference.keyframe, T_frame_kf, self.config.selection.points, prior, pair.noise)
 
     def _select(self, keyframe: Keyframe, T_frame_kf: Array, m: int, prior: Array, noise: Noise) -> Index:
         return select_points(keyframe, T_frame_kf, m, prior, self.config.selection, noise, self.rng, self.backend)
 
-    def _move(self, T_cam_world: Array, dt: float) -> None:
-        self.T_previous, self.T_cam_world, self.dt_previous = self.T_cam_world, T_cam_world, dt
-
     def _new_keyframe(self, frame: Frame) -> bool:
         """Make a keyframe of the frame just tracked and refine the window; False where it has too few candidates."""
-        keyframe = make_keyframe(frame, self.config, self.rng)
+        keyframe = make_keyframe(frame, self.config, self.rng, self.backend)
         if len(keyframe.points.uv) < FEWEST_CANDIDATES:
             return False
         self._adopt(keyframe)
         return True
 
     def _adopt(self, keyframe: Keyframe) -> None:
-        self.keyframe_poses.append(self.T_cam_world)
-        self.keyframe_times.append(keyframe.frame.timestamp)
-        self.clouds.append(NOTHING if self.config.window.enabled else keyframe_cloud(keyframe))
-        prior = motion_information(self.config, 1.0 / 30.0)
+        """Choose a keyframe's points, add it to the window and to history, and track against it from now on."""
+        windowed = self.config.window.enabled
+        cloud = NOTHING if windowed else keyframe_cloud(keyframe)
+        self.history.add_keyframe(keyframe.frame.timestamp, self.motion.T_cam_world, cloud)
+        prior = motion_information(self.config, KEYFRAME_GAP)
         few, many = self.config.selection.points, self.config.window_points
-        self.T_chosen = np.eye(4)
-        self.index = self._select(keyframe, self.T_chosen, few, prior, self.noise)
-        if self.config.window.enabled:
-            index = self.index if many == few else self._select(keyframe, self.T_chosen, many, prior, self.noise)
-            keyframe = self._refine(keyframe, index)
-        self.clouds = condense(self.clouds, self.keyframe_poses, self.in_window)
-        self.keyframe, self.T_kf_world, self.keyframe_turn = keyframe, self.T_cam_world, self.turn
-        self.affine = np.zeros(2)
-        self.entropies = []
+        index = self._select(keyframe, np.eye(4), few, prior, self.noise)
+        if windowed:
+            chosen = index if many == few else self._select(keyframe, np.eye(4), many, prior, self.noise)
+            keyframe = self._refine(keyframe, chosen)
+        self.history.condense()
+        self.reference = Reference(keyframe, self.motion.T_cam_world, self.motion.turn, index)
 
     def _refine(self, keyframe: Keyframe, index: Index) -> Keyframe:
         """Add a keyframe to the window, optimise, shrink; the present pose and its velocity follow."""
-        before = self.T_cam_world
-        self.window.add(keyframe, before, self.affine, index)
-        self.in_window.append(len(self.keyframe_poses) - 1)
+        affine = np.zeros(2) if self.reference is None else self.reference.affine
+        self.window.add(keyframe, self.motion.T_cam_world, affine, index)
+        self.history.in_window.append(len(self.history.keyframe_poses) - 1)
         self.window.optimise()
-        for number, pose in zip(self.in_window, self.window.T_kf_world, strict=True):
-            self.keyframe_poses[number] = pose
-        for k, keyframe in self.window.shrink():
-            self.clouds[self.in_window.pop(k)] = keyframe_cloud(keyframe)
-        self.T_cam_world = self.window.T_kf_world[-1]
-        self.T_previous = self.T_previous @ inverse(before) @ self.T_cam_world
-        return self.window.keyframes[-1]
+        self.history.refine(self.window.members.T)
+        for place, old in self.window.shrink():
+            self.history.leave(place, old)
+        self.motion.correct(self.window.members.T[-1])
+        return self.window.members.keyframes[-1]
 
     def _start_segment(self, frame: Frame, reason: str) -> TrackResult:
         """Begin at the last pose: the first frame, or one after too many lost ones; lost where it lacks points."""
-        keyframe = make_keyframe(frame, self.config, self.rng)
+        keyframe = make_keyframe(frame, self.config, self.rng, self.backend)
         if len(keyframe.points.uv) < FEWEST_CANDIDATES:
             return self._hold(frame, reason)
-        first = self.keyframe is None
-        for number, old in zip(self.in_window, self.window.keyframes, strict=True):
-            self.clouds[number] = keyframe_cloud(old)
-        self.window = Window(self.config, self.noise)
-        self.in_window = []
-        self.affine = np.zeros(2)
-        self.dt_previous = 0.0
-        self.surprise_px = np.inf
+        first = self.reference is None
+        for old in self.window.members.keyframes:
+            self.history.leave(0, old)
+        self.window = Window(self.config, self.noise, self.backend)
+        self.reference = None
+        self.motion.lose()
         self._adopt(keyframe)
-        self.segment += 0 if first else 1
+        self.motion.time = frame.timestamp
+        self.history.segment += 0 if first else 1
         self.lost_in_a_row = 0
-        self.pose_time = frame.timestamp
         reason = "" if first else "a new segment starts here, at the last known pose"
-        return replace(self._result(frame, None, Status.OK if first else Status.LOST, reason), keyframe=True)
+        return replace(self._held(frame, Status.OK if first else Status.LOST, reason), keyframe=True)
 
     def _lost(self, frame: Frame, reason: str) -> TrackResult:
         """Stay where we were and say so; after too many such frames begin anew, with this one."""
@@ -189,51 +165,60 @@ class IdRgbdo:
 
     def _hold(self, frame: Frame, reason: str) -> TrackResult:
         self.lost_in_a_row += 1
-        self.dt_previous = 0.0
-        self.surprise_px = np.inf
-        return self._result(frame, None, Status.LOST, reason)
+        self.motion.lose()
+        return self._held(frame, Status.LOST, reason)
 
-    def _result(
-        self, frame: Frame, tracked: Tracked | None, status: Status, reason: str, entropies: Array | None = None
+    def _measured(
+        self, frame: Frame, reference: Reference, tracked: Tracked, status: Status, reason: str
     ) -> TrackResult:
-        T_world_cam = inverse(self.T_cam_world)
-        T_cam_kf = self.T_cam_world @ inverse(self.T_kf_world) if tracked is None else tracked.T_frame_kf
-        self.times.append(frame.timestamp)
-        self.references.append(len(self.keyframe_poses) - 1)
-        self.T_cam_kf.append(T_cam_kf)
-        if tracked is not None:
-            self.pose_time = frame.timestamp
-        self.last = (self.keyframe, tracked) if tracked and self.keyframe else None
+        """The result of a frame that was tracked; it joins the history."""
+        self.history.add_frame(frame.timestamp, tracked.T_frame_kf)
+        self.last = (reference.keyframe, tracked)
         return TrackResult(
-            T_world_cam=torch.from_numpy(T_world_cam),
+            T_world_cam=torch.from_numpy(inverse(self.motion.T_cam_world)),
             status=status,
             reason=reason,
-            reference_time=None if tracked is None else self.keyframe_times[-1],
-            T_ref_cam=None if tracked is None else torch.from_numpy(inverse(T_cam_kf)),
-            information=None if tracked is None else torch.from_numpy(tracked.information),
-            points=0 if tracked is None else tracked.points,
-            iterations=0 if tracked is None else tracked.iterations,
-            entropy_bits=() if entropies is None else tuple(entropies.tolist()),
-            segment=self.segment,
+            reference_time=self.history.keyframe_times[-1],
+            T_ref_cam=torch.from_numpy(inverse(tracked.T_frame_kf)),
+            information=torch.from_numpy(tracked.information),
+            points=tracked.points,
+            iterations=tracked.iterations,
+            entropy_bits=tuple(reference.entropies[-1].tolist()),
+            segment=self.history.segment,
         )
+
+    def _held(self, frame: Frame, status: Status, reason: str) -> TrackResult:
+        """The result of a frame that stays at the last pose; it joins the history."""
+        T_kf_world = self.motion.T_cam_world if self.reference is None else self.reference.T_kf_world
+        self.history.add_frame(frame.timestamp, self.motion.T_cam_world @ inverse(T_kf_world))
+        self.last = None
+        pose = torch.from_numpy(inverse(self.motion.T_cam_world))
+        return TrackResult(T_world_cam=pose, status=status, reason=reason, segment=self.history.segment)
 
     def trajectory(self) -> Trajectory:
         """Every frame's pose, hung on its keyframe as the window has refined it."""
-        start = np.eye(4) if not self.keyframe_poses else self.keyframe_poses[0]
-        poses = [
-            inverse(T @ (self.keyframe_poses[r] if r >= 0 else start))
-            for T, r in zip(self.T_cam_kf, self.references, strict=True)
-        ]
-        stacked = np.array(poses).reshape(-1, 4, 4)
-        return Trajectory(torch.tensor(self.times, dtype=torch.float64), torch.from_numpy(stacked))
+        return self.history.trajectory()
+
+    def map(self) -> Cloud:
+        """The candidate points of all keyframes in the world, with colours and normals."""
+        return self.history.map(self.window.members.keyframes)
 
     def map_points(self) -> tuple[Tensor, Tensor]:
         """(N, 3) float32 candidate points of all keyframes in the world, m, and their (N, 3) uint8 RGB colours."""
-        clouds = list(self.clouds)
-        for number, keyframe in zip(self.in_window, self.window.keyframes, strict=True):
-            clouds[number] = keyframe_cloud(keyframe)
-        cloud = world_cloud(clouds, self.keyframe_poses)
+        cloud = self.map()
         return torch.from_numpy(cloud.xyz), torch.from_numpy(cloud.rgb)
+
+    def window_keyframes(self) -> dict[int, tuple[Keyframe, Array]]:
+        """By number, the keyframes that are still refined and their T_kf_world (4, 4); the newest is the last."""
+        members, newest = self.window.members, len(self.history.keyframe_poses) - 1
+        held = dict(zip(self.history.in_window, zip(members.keyframes, members.T, strict=True), strict=True))
+        if self.reference is not None and newest not in held:  # without a window
+            held[newest] = (self.reference.keyframe, self.reference.T_kf_world)
+        return held
+
+    def last_alignment(self) -> tuple[Keyframe, Tracked] | None:
+        """The keyframe that the last frame was tracked against, and how; None where it was not tracked."""
+        return self.last
 
     def last_points(self) -> tuple[Tensor, Tensor]:
         """The points last tracked: (N, 2) px in that frame, and (N,) bits that each adds to what the others know."""
@@ -248,6 +233,6 @@ class IdRgbdo:
             keyframe, tracked = self.last
             everyone = np.arange(len(keyframe.points.uv))
             return point_bits(keyframe, tracked.T_frame_kf, everyone, self.noise, self.backend)[0]
-        if self.keyframe is not None and self.keyframe.frame.timestamp == self.times[-1]:
-            return torch.from_numpy(self.keyframe.points.uv)
+        if self.reference is not None and self.reference.keyframe.frame.timestamp == self.history.times[-1]:
+            return torch.from_numpy(self.reference.keyframe.points.uv)
         return torch.zeros(0, 2, dtype=torch.float64)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import e, log2, pi
 
 import numpy as np
 import torch
@@ -13,26 +12,14 @@ from torch import Tensor
 
 from ..config import Config, KeyframeConfig
 from ..frame import Frame, Keyframe
-from ..measurement import Points
-from .backends import FUSED, Backend, backend_named
-from .candidates import extract_candidates, inverse_depth_sigma, spread_out
+from ..measurement import Points, inverse_depth_sigma
+from .backends import Backend
+from .candidates import extract_candidates, spread_out
 
 Array = NDArray[np.float64]
 
 REFERENCE_FRAMES = 3  # the reference is the median over the first frames after the keyframe
 SURE_BITS = -0.5  # the ratio of Eq. 20 means nothing where the reference entropy is not clearly negative
-
-
-def freedom_entropies_bits(information: Tensor) -> Tensor:
-    """Entropy (..., 6) in bits of each degree of freedom [v, w] in metres and radians, given the others.
-
-    The conditional covariance of Eq. 14 of one variable given the rest is 1 / Lambda_kk. A degree of freedom without
-    information has infinite entropy.
-    """
-    precision = information.double().diagonal(dim1=-2, dim2=-1)  # (..., 6)
-    # Eq. 11 of one variable, written out: a Cholesky factor of a number costs as much as the whole alignment
-    entropies: Tensor = 0.5 * torch.log2(2.0 * pi * e / precision)
-    return torch.where(precision > 0.0, entropies, torch.inf)
 
 
 def entropy_decrement(entropy: Tensor, reference: Tensor) -> Tensor:
@@ -65,44 +52,31 @@ def wants_keyframe(history: list[Array], config: KeyframeConfig) -> bool:
     return bool(lost.max() > config.threshold_ratio)
 
 
-def freedom_entropies(information: Array) -> Array:
-    """freedom_entropies_bits of one (6, 6) matrix, for every frame: (6,)."""
-    precision = information.diagonal()
-    if precision.min() > 0.0:  # nearly always, and np.errstate costs more than the logarithm
-        return np.asarray(0.5 * (log2(2.0 * pi * e) - np.log2(precision)))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        bits = 0.5 * np.log2(2.0 * pi * e / precision)
-    return np.where(precision > 0.0, bits, np.inf)
-
-
 WITNESSES = 256  # points that a pose is verified with
 
 
-def make_keyframe(frame: Frame, config: Config, rng: Generator) -> Keyframe:
+def make_keyframe(frame: Frame, config: Config, rng: Generator, backend: Backend) -> Keyframe:
     """Extract the candidates of a frame and everything that tracking needs of them."""
-    computing = backend_named(config.backend)
-    uv, inv_depth, tier = extract_candidates(frame, config, rng)
+    uv, inv_depth = extract_candidates(frame, config, rng, backend)
     camera = frame.camera
-    coarse = spread_out(uv, config.tracking.points_coarse, camera.width, camera.height, computing)
-    witnesses = (
-        coarse if len(coarse) >= WITNESSES else spread_out(uv, WITNESSES, camera.width, camera.height, computing)
-    )
+    coarse = spread_out(uv, config.tracking.points_coarse, camera.width, camera.height, backend)
+    witnesses = coarse if len(coarse) >= WITNESSES else spread_out(uv, WITNESSES, camera.width, camera.height, backend)
     levels, pixels = len(frame.images), config.tracking.patch
     patch = np.zeros((levels, len(uv), pixels), np.float32)
     gradient = np.zeros((levels, len(uv), pixels, 2), np.float32)
-    computing.candidates.sample_patches(frame.images, uv, np.arange(len(uv)), 0, 1, patch, gradient)
-    computing.candidates.sample_patches(frame.images, uv, np.union1d(coarse, witnesses), 1, levels, patch, gradient)
+    backend.sample_patches(frame.images, uv, np.arange(len(uv)), range(1), patch, gradient)
+    backend.sample_patches(frame.images, uv, np.union1d(coarse, witnesses), range(1, levels), patch, gradient)
     radius = np.hypot(uv[:, 0] - camera.cx, uv[:, 1] - camera.cy)
     radius /= max(radius.max(initial=0.0), 1.0)
-    variance = np.full(len(uv), inverse_depth_sigma(config) ** 2)
+    variance = np.full(len(uv), inverse_depth_sigma(config.noise.focal_baseline, config.noise.sigma_disparity) ** 2)
     points = Points(uv, inv_depth, variance, patch, gradient)
-    return Keyframe(frame, points, inv_depth, variance, radius, tier, coarse, witnesses)
+    return Keyframe(frame, points, inv_depth, variance, radius, coarse, witnesses)
 
 
-def all_patches(keyframe: Keyframe, backend: Backend = FUSED) -> Keyframe:
+def all_patches(keyframe: Keyframe, backend: Backend) -> Keyframe:
     """The keyframe with the patches of every point on every level, as it takes to track all of them everywhere."""
     points = keyframe.points
     patch, gradient = points.patch.copy(), points.gradient.copy()
     everyone = np.arange(len(points.uv))
-    backend.candidates.sample_patches(keyframe.frame.images, points.uv, everyone, 1, len(patch), patch, gradient)
+    backend.sample_patches(keyframe.frame.images, points.uv, everyone, range(1, len(patch)), patch, gradient)
     return replace(keyframe, points=points._replace(patch=patch, gradient=gradient))

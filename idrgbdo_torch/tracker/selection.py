@@ -1,8 +1,4 @@
-"""Which points to track (section 4.1, step 3): the four modes, Algorithm 1, Eqs. 17 and 18.
-
-A point is given by its whitened rows A (R, D): A^T A is what it adds to the information of the state. Any Jacobian
-divided by its standard deviation will do, so these functions serve other trackers too.
-"""
+"""Which points to track (section 4.1, step 3): the four modes."""
 
 from __future__ import annotations
 
@@ -13,10 +9,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..config import SelectionConfig
-from ..definitions.selection import gain_bits, select_informative
+from ..definitions.selection import gain_bits
 from ..frame import Keyframe
 from ..measurement import Noise
-from .backends import FUSED, TORCH, Backend
+from .backends import Backend
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -32,32 +28,19 @@ def select_points(
     config: SelectionConfig,
     noise: Noise,
     rng: Generator,
-    backend: Backend = FUSED,
+    backend: Backend,
 ) -> Index:
     """At most m candidates of a keyframe for a frame at the pose T_frame_kf, by the configured mode."""
-    camera = keyframe.frame.camera
     everyone = np.arange(len(keyframe.points.uv))
-    A, seen, where = backend.choice.whitened_rows(
-        keyframe.frame.intrinsics[0], camera.width, camera.height, config.margin - ROUNDING, keyframe.points, everyone,
-        T_frame_kf, noise,
-    )  # fmt: skip
+    margin = config.margin - ROUNDING
+    rows = backend.whitened_rows(keyframe.frame.camera, margin, keyframe.points, everyone, T_frame_kf, noise)
+    seen = rows.seen
     if config.mode == "rand":
         key = rng.random(len(everyone)) + ~seen  # one point more or less in view changes no other's luck
         return np.sort(np.argsort(key)[: min(m, int(seen.sum()))])
     if config.mode == "grid":
-        return strongest_of_cells(where, seen, keyframe, m)
-    if config.objective == "paper" or backend is TORCH:
-        visible = np.flatnonzero(seen)
-        chosen = select_informative(
-            torch.from_numpy(A[visible]), torch.from_numpy(keyframe.radius[visible]), m, torch.from_numpy(information),
-            objective=config.objective, spread=config.spread, c_z=config.c_z, where=torch.from_numpy(where[visible]),
-            distance=config.distance,
-        )  # fmt: skip
-        return np.asarray(visible[chosen.numpy()])
-    fused: Index = backend.choice.select(
-        A, seen, where, keyframe.radius, m, information, config.spread, config.c_z, config.distance
-    )
-    return fused
+        return strongest_of_cells(rows.where, seen, keyframe, m)
+    return backend.select(rows, keyframe.radius, m, information, config)
 
 
 def strongest_of_cells(where: Array, seen: NDArray[np.bool_], keyframe: Keyframe, m: int) -> Index:
@@ -80,18 +63,15 @@ def grid_cells(uv: Array, count: int, width: int, height: int) -> Index:
 
 
 def point_bits(
-    keyframe: Keyframe, T_frame_kf: Array, index: Index, noise: Noise, backend: Backend = FUSED
+    keyframe: Keyframe, T_frame_kf: Array, index: Index, noise: Noise, backend: Backend
 ) -> tuple[Tensor, Tensor]:
     """Where a frame sees some candidates, (M, 2) px, and what each adds to all the others, (M,) bits; unseen left out.
 
     Unlike the gain at its choice, this does not depend on the order: what would be lost without that one point.
     """
-    camera = keyframe.frame.camera
-    A, seen, where = backend.choice.whitened_rows(
-        keyframe.frame.intrinsics[0], camera.width, camera.height, 0.0, keyframe.points, index, T_frame_kf, noise
-    )
-    rows = torch.from_numpy(A[seen])  # (M, 3, 6)
+    found = backend.whitened_rows(keyframe.frame.camera, 0.0, keyframe.points, index, T_frame_kf, noise)
+    rows = torch.from_numpy(found.A[found.seen])  # (M, 3, 6)
     each = rows.mT @ rows  # (M, 6, 6)
     everything = each.sum(dim=0)
     floor = torch.diag(1e-6 * everything.diagonal())  # so that few points leave a matrix to invert
-    return torch.from_numpy(where[seen]), gain_bits(rows, everything + floor - each)
+    return torch.from_numpy(found.where[found.seen]), gain_bits(rows, everything + floor - each)

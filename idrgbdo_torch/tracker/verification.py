@@ -1,4 +1,4 @@
-"""Is a pose to be believed? Verification against points that did not choose it, and what to try when it is not."""
+"""Is a pose to be believed? Held against points that had no part in finding it."""
 
 from __future__ import annotations
 
@@ -7,17 +7,36 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frame import Frame, Keyframe
-from ..measurement import Noise
-from .backends import FUSED, Backend
-from .tracking import Tracked
+from ..measurement import State
+from .tracking import Pair, Tracked
 
 Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
-VERIFIED_LEVEL = 1
-VERIFIED_GRAY = 12.0  # gray levels, largest residual of a point that agrees
-GAIN_LIMIT = 1.0  # of the logarithm: with no contrast left, a black or a white image would explain everything
+FREEDOMS = ("x", "y", "z", "rotation about x", "rotation about y", "rotation about z")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Where a pose stops being believed.
+
+    The shares were set so that of steps off by more than 5 cm or 3 degrees nearly all are weak or lost, and of those
+    off by less than 1 cm nearly none: rendered desks taken every 4th and 8th frame, and fr3 cabinet's wide baselines.
+    """
+
+    level: int = 1  # of the pyramid that brightness is compared on: half the size forgives half a pixel
+    gray: float = 12.0  # gray levels, largest residual of a point that agrees: three of the sensor's sigmas of 4
+    in_view: float = 0.15  # share of the points that the frame must see
+    sure: float = 0.7  # share of agreeing points under which a quick alignment is not taken for granted,
+    weak: float = 0.61  # a pose is doubtful,
+    lost: float = 0.54  # and is not used
+    depth_above: float = 0.12  # how much larger the share must be in depth, which knows no shadows and highlights
+    few_depths: int = 12  # fewer measured depths than this are too few to judge by
+    points: int = 6  # a pose has six degrees of freedom
+    gain: float = 1.0  # of the logarithm: with no contrast left, a black or white image would explain everything
+    unsure_bits: float = -7.0  # entropy of the least certain degree of freedom: 2 mm or 2 mrad given the others
+
+
+LIMITS = Limits()
 
 
 @dataclass(frozen=True)
@@ -35,38 +54,30 @@ class Verdict:
 
     def doubt(self, strict: float) -> str:
         """Why the pose is not to be believed, empty when it is; strict grows the limits towards 1."""
-        if self.visible < 0.15:
+        if self.visible < LIMITS.in_view:
             return f"only {self.visible:.0%} of the keyframe is in view"
         if self.bright < strict:
             return f"only {self.bright:.0%} of the points agree in brightness"
-        if self.near < strict + 0.12:
+        if self.near < strict + LIMITS.depth_above:
             return f"only {self.near:.0%} of the points agree in depth"
         return ""
-
-
-WEAK_BELOW = 0.61  # share of agreeing points under which a pose is doubtful
-LOST_BELOW = 0.54  # and under which it is not used
-UNSURE_BITS = -7.0  # entropy of the least certain degree of freedom, about 2 mm or 2 mrad given the others
-FREEDOMS = ("x", "y", "z", "rotation about x", "rotation about y", "rotation about z")
 
 
 def unsure(entropies: Array) -> str:
     """Why a pose with these entropies (6,) in bits is doubtful however well it fits, empty when it is not."""
     bits, freedom = max(zip(entropies.tolist(), FREEDOMS, strict=True))
-    return f"{freedom} is uncertain: {bits:.1f} bits" if bits > UNSURE_BITS else ""
+    return f"{freedom} is uncertain: {bits:.1f} bits" if bits > LIMITS.unsure_bits else ""
 
 
-def verify(frame: Frame, keyframe: Keyframe, tracked: Tracked, noise: Noise, backend: Backend = FUSED) -> Verdict:
+def verify(pair: Pair, tracked: Tracked) -> Verdict:
     """Hold a pose against all the spread-out points of the keyframe."""
-    witnesses = keyframe.witnesses
-    seen, bright, with_depth, near = backend.agreement.verify(
-        frame.images[VERIFIED_LEVEL], frame.depth, keyframe.frame.intrinsics[VERIFIED_LEVEL], VERIFIED_LEVEL,
-        keyframe.points, keyframe.points.patch[VERIFIED_LEVEL], witnesses, tracked.T_frame_kf, tracked.affine, noise,
-        VERIFIED_GRAY,
-    )  # fmt: skip
-    if not (np.isfinite(tracked.T_frame_kf).all() and tracked.points >= 6):
+    if not (np.isfinite(tracked.T_frame_kf).all() and tracked.points >= LIMITS.points):
         return Verdict(0.0, 0.0, 0.0)
-    if abs(tracked.affine[0]) > GAIN_LIMIT:
+    witnesses, state = pair.keyframe.witnesses, State(tracked.T_frame_kf, tracked.affine)
+    seen, bright, with_depth, near = pair.backend.verify(
+        pair.frame.view, LIMITS.level, pair.keyframe.points, witnesses, state, pair.noise, LIMITS.gray
+    )
+    if abs(tracked.affine[0]) > LIMITS.gain:
         bright = 0
-    few = 0 < with_depth < 12  # a frame with little depth is judged by its brightness alone, one with none is broken
+    few = 0 < with_depth < LIMITS.few_depths  # then judged by brightness alone; one without any depth is broken
     return Verdict(seen / max(len(witnesses), 1), bright / max(seen, 1), 1.0 if few else near / max(with_depth, 1))

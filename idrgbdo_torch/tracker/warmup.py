@@ -20,6 +20,7 @@ from ..frame import Keyframe, RgbdFrame, prepare
 from ..kernels.tracking import align
 from ..measurement import LEVELS, PATTERN_U, Points, kernel_noise
 from ..odometry import Odometry
+from .backends import backend_named
 from .window import Window
 
 NOTICE = "compiling the kernels, some 15 s, once; they are kept for later processes"
@@ -50,12 +51,12 @@ def warm_up(make: Callable[[], Odometry]) -> None:
 def compile_window() -> None:
     """Compile what only the window needs; for a second process, beside the one that compiles the rest."""
     config = Config()
-    window = Window(config, kernel_noise(config.noise, config.tracking.patch))
+    window = Window(config, kernel_noise(config.noise, config.tracking.patch), backend_named(config.backend))
     none, no_index = np.zeros(0), np.zeros(0, np.int64)
     for frame in islice(tiny_film(), 2):
         patch = np.zeros((LEVELS, 0, len(PATTERN_U)), np.float32)
         points = Points(np.zeros((0, 2)), none, none, patch, np.zeros((*patch.shape, 2), np.float32))
-        keyframe = Keyframe(prepare(frame), points, none, none, none, none, no_index, no_index)
+        keyframe = Keyframe(prepare(frame), points, none, none, none, no_index, no_index)
         window.add(keyframe, np.eye(4), np.zeros(2), no_index)
     window.optimise()
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from .odometry import Odometry
+    from ..odometry import Odometry
 
 Kind = Literal["ours", "baseline", "null"]
 

@@ -1,0 +1,83 @@
+"""The keyframes of a window and the state of each: one tuple that grows and shrinks as a whole."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..frame import Keyframe
+from ..measurement import WindowPoints, WindowState
+
+Array = NDArray[Any]
+
+
+class Members(NamedTuple):
+    """K keyframes, oldest first; every field has K entries."""
+
+    keyframes: tuple[Keyframe, ...]
+    chosen: tuple[Array, ...]  # the window points of each, among its candidates
+    slots: Array  # (K,) where their images lie in the window's buffers
+    T: Array  # (K, 4, 4) T_kf_world
+    T_linear: Array  # (K, 4, 4) linearisation points, first estimates once in the prior
+    affine: Array  # (K, 2) brightness
+    affine_linear: Array  # (K, 2)
+    in_prior: Array  # (K,) bool, whose linearisation point the prior holds
+    inv_depth: Array  # (K, N) 1/m of the window points, padded
+
+    @staticmethod
+    def none(points: int) -> Members:
+        """No keyframe yet; so many points each."""
+        poses, brightness = np.zeros((0, 4, 4)), np.zeros((0, 2))
+        numbers, flags = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
+        return Members((), (), numbers, poses, poses, brightness, brightness, flags, np.zeros((0, points)))
+
+    def __bool__(self) -> bool:
+        return len(self.keyframes) > 0
+
+    def append(self, keyframe: Keyframe, index: Array, slot: int, T_kf_world: Array, affine: Array) -> Members:
+        """One more, at a pose (4, 4) with a brightness (2,); the first of all belongs to the prior, which holds it."""
+        inv_depth = np.zeros((1, self.inv_depth.shape[1]))
+        inv_depth[0, : len(index)] = keyframe.points.inv_depth[index]
+        return Members(
+            (*self.keyframes, keyframe),
+            (*self.chosen, index),
+            np.append(self.slots, slot),
+            np.concatenate([self.T, T_kf_world[None]]),
+            np.concatenate([self.T_linear, T_kf_world[None]]),
+            np.concatenate([self.affine, affine[None]]),
+            np.concatenate([self.affine_linear, affine[None]]),
+            np.append(self.in_prior, not self),
+            np.concatenate([self.inv_depth, inv_depth]),
+        )
+
+    def keep(self, mask: Array) -> Members:
+        """Those of the mask (K,) bool."""
+        stays = np.flatnonzero(mask)
+        keyframes, chosen = tuple(self.keyframes[k] for k in stays), tuple(self.chosen[k] for k in stays)
+        return Members(keyframes, chosen, *(array[mask] for array in self[2:]))
+
+    def state(self, first_estimates: bool) -> WindowState:
+        """What is looked for; geometry about the first estimates of what is in the prior, or about the present."""
+        fixed = self.in_prior if first_estimates else np.zeros(len(self.keyframes), dtype=np.bool_)
+        T_linear = np.where(fixed[:, None, None], self.T_linear, self.T)
+        return WindowState(self.T, T_linear, self.affine, self.inv_depth)
+
+    def points(self) -> WindowPoints:
+        """The window points of all keyframes as padded arrays."""
+        K, N = self.inv_depth.shape
+        P = self.keyframes[0].points.patch.shape[2]
+        out = WindowPoints(
+            np.zeros((K, N, 2)), np.zeros((K, N, P), np.float32), np.zeros((K, N, P, 2), np.float32),
+            np.ones((K, N)), np.ones((K, N)), np.zeros((K, N), np.bool_),
+        )  # fmt: skip
+        for k, (keyframe, index) in enumerate(zip(self.keyframes, self.chosen, strict=True)):
+            n = len(index)
+            out.uv[k, :n] = keyframe.points.uv[index]
+            out.patch[k, :n] = keyframe.points.patch[0, index]
+            out.gradient[k, :n] = keyframe.points.gradient[0, index]
+            out.measured[k, :n] = keyframe.measured[index]
+            out.variance[k, :n] = keyframe.measured_variance[index]
+            out.valid[k, :n] = True
+        return out

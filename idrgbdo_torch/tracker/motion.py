@@ -1,0 +1,68 @@
+"""Where the camera is and how it moves: what a frame is expected from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..kernels.se3 import inverse, log_se3, retract
+from ..measurement import RATE
+
+Array = NDArray[np.float64]
+
+LONGEST = 3.0  # times the last gap that a velocity is followed
+
+
+@dataclass
+class Motion:
+    """Pose and velocity of the camera after the last frame. A new one, at some pose, rests."""
+
+    T_cam_world: Array  # (4, 4)
+    T_previous: Array  # (4, 4) of the frame before the last, for the constant velocity
+    dt: float = 0.0  # s, between those two; 0 where there is no velocity
+    time: float = 0.0  # s, of the last pose that was measured: lost frames since then do not count
+    surprise_px: float = inf  # px in the image between the last frame's guess and pose
+    turn: Array = field(default_factory=lambda: np.zeros(3))  # rad/s, of the last frame
+
+    @staticmethod
+    def at(T_cam_world: Array) -> Motion:
+        """Of a camera that has not been seen moving."""
+        return Motion(T_cam_world, T_cam_world)
+
+    def gap(self, timestamp: float) -> float:
+        """Seconds since the last measured pose; out of order, the time says nothing, and a frame's time is taken."""
+        dt = timestamp - self.time
+        return dt if dt > 0.0 else 1.0 / RATE
+
+    def predicted(self, dt: float) -> Array:
+        """T_cam_world (4, 4) after dt seconds of the last velocity."""
+        ratio = min(dt / self.dt, LONGEST) if self.dt > 0.0 else 0.0
+        return predict(self.T_cam_world, self.T_previous, ratio)
+
+    def move(self, T_cam_world: Array, timestamp: float, dt: float) -> None:
+        """To a measured pose; dt 0 where the step from the one before is no velocity."""
+        self.T_previous, self.T_cam_world, self.dt, self.time = self.T_cam_world, T_cam_world, dt, timestamp
+
+    def correct(self, T_cam_world: Array) -> None:
+        """The present pose was refined: the one before follows, so that the velocity stays."""
+        self.T_previous = self.T_previous @ inverse(self.T_cam_world) @ T_cam_world
+        self.T_cam_world = T_cam_world
+
+    def lose(self) -> None:
+        """No velocity and no expectation any more."""
+        self.dt, self.surprise_px = 0.0, inf
+
+
+def predict(T_a: Array, T_b: Array, ratio: float) -> Array:
+    """Constant velocity: the motion from T_b to T_a (cam_world poses), times ratio, once more from T_a."""
+    T: Array = retract(ratio * log_se3(T_a @ inverse(T_b)), T_a)
+    return T
+
+
+def turn_rate(T_new: Array, T_old: Array, dt: float) -> Array:
+    """Angular velocity (3,) rad/s between two cam_world poses dt seconds apart."""
+    turn: Array = log_se3(T_new @ inverse(T_old))[3:] / dt
+    return turn
