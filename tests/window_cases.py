@@ -14,12 +14,14 @@ from idrgbdo_torch.config import Config, WindowConfig
 from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.frame import Keyframe, prepare
 from idrgbdo_torch.measurement import kernel_noise
+from idrgbdo_torch.tracker.backends import backend_named
 from idrgbdo_torch.tracker.keyframe import make_keyframe
 from idrgbdo_torch.tracker.selection import select_points
 from idrgbdo_torch.tracker.tracking import motion_information
 from idrgbdo_torch.tracker.window import Window
 
 FRAMES = (0, 4, 8, 12, 16, 20, 24)
+FUSED = backend_named("fused")
 CONFIG = replace(Config(), window=WindowConfig(keyframes=5))
 NOISE = kernel_noise(CONFIG.noise)
 PRIOR = motion_information(CONFIG, 1 / 30)
@@ -47,7 +49,7 @@ class Desk:
         self, count: int = 5, off_m: float = 0.0, off_rad: float = 0.0, seed: int = 0, config: Config = CONFIG
     ) -> Window:
         """A window of the first keyframes at their true poses, world = first camera, moved by errors of this size."""
-        window = Window(config, NOISE)
+        window = Window(config, NOISE, FUSED)
         for k, xi in enumerate(twists(count, off_m, off_rad, seed)):
             self.add(window, k, xi)
         return window
@@ -55,7 +57,8 @@ class Desk:
     def add(self, window: Window, k: int, xi: Tensor | None = None) -> None:
         """Append keyframe k at its true pose, moved by a left increment."""
         m = window.config.window_points
-        index = select_points(self.keyframes[k], np.eye(4), m, PRIOR, CONFIG.selection, NOISE, np.random.default_rng(0))
+        rng = np.random.default_rng(0)
+        index = select_points(self.keyframes[k], np.eye(4), m, PRIOR, CONFIG.selection, NOISE, rng, FUSED)
         T = self.film.T(FRAMES[k], 0)
         window.add(self.keyframes[k], (T if xi is None else se3.retract(xi, T)).numpy(), NO_CHANGE, index)
 
@@ -63,11 +66,11 @@ class Desk:
         """Metres and degrees by which the keyframes are off, each against the first of all."""
         start = self.film.frames[0].timestamp
         E = []
-        for keyframe, T in zip(window.keyframes, window.T_kf_world, strict=True):
+        for keyframe, T in zip(window.members.keyframes, window.members.T, strict=True):
             frame = round((keyframe.frame.timestamp - start) * 30)
             E.append(se3.inverse(self.film.T(frame, 0)) @ torch.from_numpy(T))
         return np.array([float(e[:3, 3].norm()) for e in E]), np.array([rotation_deg(e) for e in E])
 
 
 def make_desk(film: Film) -> Desk:
-    return Desk(film, [make_keyframe(prepare(film.frames[k]), CONFIG, np.random.default_rng(0)) for k in FRAMES])
+    return Desk(film, [make_keyframe(prepare(film.frames[k]), CONFIG, np.random.default_rng(0), FUSED) for k in FRAMES])
