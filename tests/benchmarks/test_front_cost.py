@@ -16,7 +16,10 @@ from idrgbdo_torch.experiments.cost import Scene
 from idrgbdo_torch.frame import RgbdFrame, prepare
 from idrgbdo_torch.synthetic import RenderedSequence, SynthConfig
 from idrgbdo_torch.synthetic.sequence import write_tum as write_folder
+from idrgbdo_torch.tracker.backends import backend_named
 from idrgbdo_torch.tracker.keyframe import make_keyframe
+
+FUSED = backend_named("fused")
 
 
 @pytest.fixture(scope="module")
@@ -52,5 +55,5 @@ def test_keyframe(scene: Scene, benchmark: BenchmarkFixture) -> None:
     """Edges, gradients, candidates and their patches: what a keyframe costs beside the window."""
     benchmark.group = "2 prepare a frame"
     frame = prepare(scene.frames[0])
-    keyframe = benchmark(lambda: make_keyframe(frame, Config(), np.random.default_rng(0)))
+    keyframe = benchmark(lambda: make_keyframe(frame, Config(), np.random.default_rng(0), FUSED))
     assert len(keyframe.points.uv) > 50

@@ -14,7 +14,7 @@ STARTS = {
     "import torch": "import torch",
     "import IdRgbdo": "from idrgbdo_torch import IdRgbdo",
     "import IdRgbdo, load the kernels": ("from idrgbdo_torch import IdRgbdo; IdRgbdo()"),
-    "idrgbdo --help": "import sys; sys.argv[1:] = ['--help']; from idrgbdo_torch.cli import main; sys.exit(main())",
+    "idrgbdo --help": "from idrgbdo_torch.commands.cli import main; raise SystemExit(main(['--help']))",
 }
 
 

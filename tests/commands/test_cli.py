@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import torch
 
-from idrgbdo_torch import commands
+from idrgbdo_torch.commands import demo, track
 from idrgbdo_torch.commands.cli import RunCommand, main, parse
 from idrgbdo_torch.config import Config
 from idrgbdo_torch.odometry import ConstantVelocity, Odometry
@@ -25,8 +25,8 @@ from idrgbdo_torch.trajectory import read_tum
 Make = Callable[..., Path]
 SLOW_RUN = """
 import sys, time
-from idrgbdo_torch import commands
-from idrgbdo_torch.cli import main
+from idrgbdo_torch.commands import track
+from idrgbdo_torch.commands.cli import main
 from idrgbdo_torch.odometry import ConstantVelocity
 
 class Slow(ConstantVelocity):
@@ -34,7 +34,7 @@ class Slow(ConstantVelocity):
         time.sleep(0.05)
         return super().track(frame)
 
-commands.make_odometry = lambda config: Slow()
+track.make_odometry = lambda config: Slow()
 sys.exit(main(sys.argv[1:]))
 """
 
@@ -46,12 +46,12 @@ def null_method(monkeypatch: pytest.MonkeyPatch) -> None:
     def make_odometry(config: Config) -> Odometry:
         return ConstantVelocity()
 
-    monkeypatch.setattr(commands, "make_odometry", make_odometry)
+    monkeypatch.setattr(track, "make_odometry", make_odometry)
 
 
 def test_help_imports_nothing_heavy_and_is_quick() -> None:
     script = (
-        "import sys, time; begin = time.process_time(); from idrgbdo_torch.cli import main\n"
+        "import sys, time; begin = time.process_time(); from idrgbdo_torch.commands.cli import main\n"
         "try: main(['--help'])\n"
         "except SystemExit as end: assert end.code == 0\n"
         "heavy = {'torch', 'open3d', 'numpy', 'cv2', 'numba', 'rich', 'plotly'} & set(sys.modules)\n"
@@ -295,7 +295,7 @@ def test_demo_renders_once_and_tracks(
     from idrgbdo_torch.synthetic import SynthConfig
 
     small = SynthConfig(kind="desk", frames=3, width=80, height=60, fx=65, fy=65, cx=39.5, cy=29.5, samples=1)
-    monkeypatch.setattr(commands, "DEMO", small)
+    monkeypatch.setattr(demo, "DEMO", small)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
     assert main(["demo"]) == 0

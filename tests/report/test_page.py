@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import torch
 from comparison_methods import METHODS
+from inspected import Inspected
 from recordings import write_recording
 
 from idrgbdo_torch.comparison import Comparison, External, Source, compare
@@ -17,14 +18,14 @@ from idrgbdo_torch.datasets import open_sequence
 from idrgbdo_torch.definitions.se3 import exp
 from idrgbdo_torch.evaluation import evaluate
 from idrgbdo_torch.frame import RgbdFrame
-from idrgbdo_torch.odometry import ConstantVelocity, Status, TrackResult, run
+from idrgbdo_torch.odometry import Status, TrackResult, run
 from idrgbdo_torch.report import Snapshot, comparison_page, figures, run_page, watch
 from idrgbdo_torch.report.figures import Line
 from idrgbdo_torch.runs.folder import RunFolder
 from idrgbdo_torch.trajectory import Trajectory
 
 
-class Chatty(ConstantVelocity):
+class Chatty(Inspected):
     """Reports everything a page can show."""
 
     def track(self, frame: RgbdFrame) -> TrackResult:

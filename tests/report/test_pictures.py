@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from inspected import Inspected
 
-from idrgbdo_torch import commands
+from idrgbdo_torch.commands import track
 from idrgbdo_torch.commands.cli import main
 from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.definitions.camera import Pinhole
@@ -39,7 +40,7 @@ def flat_frame(timestamp: float = 0.0, color: bool = True) -> RgbdFrame:
     return RgbdFrame(timestamp, gray, torch.ones(480, 640), CAMERA, rgb)
 
 
-class Pointing(ConstantVelocity):
+class Pointing(Inspected):
     """Says that it used three points; every third frame is a keyframe."""
 
     def track(self, frame: RgbdFrame) -> TrackResult:
@@ -138,7 +139,7 @@ def test_a_picture_is_written_in_its_colours(tmp_path: Path) -> None:
 def test_run_with_figures_writes_them(
     make_recording: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(commands, "make_odometry", lambda config: Pointing())
+    monkeypatch.setattr(track, "make_odometry", lambda config: Pointing())
     folder = make_recording(frames=5)
     assert main(["run", str(folder), "--out", str(tmp_path / "with"), "--figures"]) == 0
     names = sorted(path.name for path in (tmp_path / "with" / "figures").iterdir())

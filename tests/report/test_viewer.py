@@ -101,9 +101,11 @@ def test_entropy_keyframes_window_and_reference(shown: Shown, desk: Film) -> Non
     for number in range(keyframes):
         assert shown.column(f"/world/keyframes/{number}/points", "Points3D:positions")
         refined = shown.column(f"/world/keyframes/{number}", "Transform3D:translation")[-1][0]
-        np.testing.assert_allclose(refined, np.linalg.inv(shown.odometry.keyframe_poses[number])[:3, 3], atol=1e-6)
+        np.testing.assert_allclose(
+            refined, np.linalg.inv(shown.odometry.history.keyframe_poses[number])[:3, 3], atol=1e-6
+        )
     window = shown.column("/world/window", "LineStrips3D:strips")[-1][0]
-    assert len(window) == len(shown.odometry.in_window)
+    assert len(window) == len(shown.odometry.history.in_window)
     truth = transform(inverse(desk.groundtruth.T_world_cam[0]), desk.groundtruth.positions)
     np.testing.assert_allclose(shown.column("/world/reference", "LineStrips3D:strips")[0][0], truth, atol=1e-6)
     path = shown.column("/world/trajectory/0", "LineStrips3D:strips")[-1][0]

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from inspected import Inspected
 
 from idrgbdo_torch import configfile
 from idrgbdo_torch.config import Config
@@ -51,7 +52,7 @@ RUN = Run(
 )
 
 
-class Refining(ConstantVelocity):
+class Refining(Inspected):
     """Ends with its poses shifted by 1 m, and with a map."""
 
     def trajectory(self) -> Trajectory:
@@ -60,11 +61,9 @@ class Refining(ConstantVelocity):
         moved[:, 2, 3] += 1.0
         return Trajectory(causal.timestamps, moved)
 
-    def __init__(self) -> None:
-        super().__init__()
+    def map(self) -> Cloud:
         rgb = np.array([[255, 0, 7], [1, 2, 3]], np.uint8)
-        self.clouds = [Cloud(np.array([[0.5, -1, 2], [0, 0, 1]], np.float32), rgb, np.zeros((2, 3), np.float32))]
-        self.keyframe_poses = [np.eye(4)]
+        return Cloud(np.array([[0.5, -1, 2], [0, 0, 1]], np.float32), rgb, np.zeros((2, 3), np.float32))
 
 
 def test_what_is_written_frame_by_frame_is_there_at_once(tmp_path: Path) -> None:

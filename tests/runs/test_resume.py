@@ -29,8 +29,8 @@ FRAMES, KILLED_AT = 30, 18
 # the command in a process of its own; it writes a checkpoint after every tenth frame and kills itself
 KILLED = f"""
 import os, signal, sys
-from idrgbdo_torch import checkpoint, odometry
-from idrgbdo_torch.cli import main
+from idrgbdo_torch.runs import checkpoint
+from idrgbdo_torch.commands.cli import main
 
 class Often(checkpoint.Checkpoints):
     def offer(self, state):
@@ -39,8 +39,8 @@ class Often(checkpoint.Checkpoints):
         if len(state.records) == {KILLED_AT}:
             os.kill(os.getpid(), signal.SIGKILL)
 
-from idrgbdo_torch import commands
-commands.Checkpoints = Often
+from idrgbdo_torch.commands import track
+track.Checkpoints = Often
 main(sys.argv[1:])
 """
 

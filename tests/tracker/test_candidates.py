@@ -15,9 +15,11 @@ from idrgbdo_torch.definitions.image import gradient, sample_with_gradient
 from idrgbdo_torch.frame import Frame, prepare
 from idrgbdo_torch.kernels import candidates as fused
 from idrgbdo_torch.measurement import PATTERN_U, PATTERN_V, kernel_noise
+from idrgbdo_torch.tracker.backends import backend_named
 from idrgbdo_torch.tracker.candidates import BLOCK, BORDER, CANNY, PLANE_RADIUS, THRESHOLD_OFFSET, spread_out
 from idrgbdo_torch.tracker.keyframe import make_keyframe
 
+FUSED = backend_named("fused")
 SIGMA = 0.004  # 1/m
 
 
@@ -152,7 +154,7 @@ def test_patches_are_samples_of_every_level(frame: Frame) -> None:
 @pytest.mark.parametrize("mode", ["rand", "grid", "inf", "inf+grid"])
 def test_what_a_keyframe_holds(frame: Frame, mode: Mode) -> None:
     config = with_mode(mode, candidates=600)
-    keyframe = make_keyframe(frame, config, np.random.default_rng(0))
+    keyframe = make_keyframe(frame, config, np.random.default_rng(0), FUSED)
     points, n = keyframe.points, len(keyframe.points.uv)
     assert (300 < n <= 600) if mode == "rand" else n > 150
     u, v = points.uv.T
@@ -165,16 +167,16 @@ def test_what_a_keyframe_holds(frame: Frame, mode: Mode) -> None:
     np.testing.assert_allclose(points.var_inv_depth, kernel_noise(config.noise).var_depth)
     coarse = keyframe.coarse
     assert len(np.unique(coarse)) == len(coarse) <= config.tracking.points_coarse
-    again = make_keyframe(frame, config, np.random.default_rng(0))
+    again = make_keyframe(frame, config, np.random.default_rng(0), FUSED)
     assert np.array_equal(again.points.uv, points.uv) and np.array_equal(again.coarse, coarse)
-    other = make_keyframe(frame, config, np.random.default_rng(1))
+    other = make_keyframe(frame, config, np.random.default_rng(1), FUSED)
     assert np.array_equal(other.points.uv, points.uv) == (mode != "rand")
 
 
 def test_inf_has_the_most_to_choose_from(frame: Frame) -> None:
     counts = {}
     for mode in ("grid", "inf", "inf+grid"):
-        keyframe = make_keyframe(frame, with_mode(mode, candidates=300), np.random.default_rng(0))
+        keyframe = make_keyframe(frame, with_mode(mode, candidates=300), np.random.default_rng(0), FUSED)
         counts[mode] = len(keyframe.points.uv)
     assert counts["grid"] == counts["inf+grid"] < 0.5 * counts["inf"]
 
@@ -182,15 +184,15 @@ def test_inf_has_the_most_to_choose_from(frame: Frame) -> None:
 def test_spreading_out_covers_the_image() -> None:
     rng = np.random.default_rng(0)
     uv = np.concatenate([rng.uniform(0, 40, (900, 2)), rng.uniform([0, 0], [320, 240], (300, 2))])
-    chosen = spread_out(uv, 100, 320, 240)
+    chosen = spread_out(uv, 100, 320, 240, FUSED)
     assert len(np.unique(chosen)) == 100
     in_corner = (uv[chosen] < 40).all(axis=1).mean()
     assert in_corner < 0.25  # the corner holds three quarters of the points, a fiftieth of the image
-    assert spread_out(uv[:50], 100, 320, 240).tolist() == list(range(50))
+    assert spread_out(uv[:50], 100, 320, 240, FUSED).tolist() == list(range(50))
 
 
 def test_an_image_without_depth_has_no_candidates(frame: Frame) -> None:
     for mode in ("rand", "inf+grid"):
         blind = replace(frame, depth=np.zeros_like(frame.depth))
-        keyframe = make_keyframe(blind, with_mode(mode), np.random.default_rng(0))
+        keyframe = make_keyframe(blind, with_mode(mode), np.random.default_rng(0), FUSED)
         assert len(keyframe.points.uv) == len(keyframe.coarse) == 0

@@ -14,11 +14,11 @@ from torch import Tensor
 from idrgbdo_torch.config import Config, KeyframeConfig, NoiseConfig, SelectionConfig, WindowConfig
 from idrgbdo_torch.configfile import load
 from idrgbdo_torch.definitions import se3
+from idrgbdo_torch.definitions.information import freedom_entropies_bits
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.evaluation import Evaluation, Measurement, evaluate
 from idrgbdo_torch.odometry import Run, Status, TrackResult, run
 from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
-from idrgbdo_torch.tracker.keyframe import freedom_entropies_bits
 
 ROOT = Path(__file__).parents[2]
 
@@ -131,14 +131,19 @@ def test_the_velocity_survives_the_refinement_of_the_pose(desk: Film) -> None:
     odometry = IdRgbdo()
     keyframes = 0
     for frame in desk.frames:
-        T_before_world, T_kf_world = (torch.from_numpy(T.copy()) for T in (odometry.T_cam_world, odometry.T_kf_world))
+        T_before_world = torch.from_numpy(odometry.motion.T_cam_world.copy())
+        T_kf_world = (
+            T_before_world if odometry.reference is None else torch.from_numpy(odometry.reference.T_kf_world.copy())
+        )
         result = odometry.track(frame)
         if result.keyframe and result.T_ref_cam is not None:
             keyframes += 1
             measured = se3.inverse(result.T_ref_cam) @ T_kf_world @ se3.inverse(T_before_world)
-            motion = torch.from_numpy(odometry.T_cam_world) @ se3.inverse(torch.from_numpy(odometry.T_previous))
+            motion = torch.from_numpy(odometry.motion.T_cam_world) @ se3.inverse(
+                torch.from_numpy(odometry.motion.T_previous)
+            )
             torch.testing.assert_close(motion, measured, rtol=0, atol=1e-12)
-            refined = se3.inverse(torch.from_numpy(odometry.T_cam_world))
+            refined = se3.inverse(torch.from_numpy(odometry.motion.T_cam_world))
             torch.testing.assert_close(result.T_world_cam, refined)
     assert keyframes > 1
 
@@ -199,7 +204,8 @@ def test_the_brightness_of_the_frame_before_is_where_the_next_begins(desk: Film)
     odometry = IdRgbdo(config(keyframe=KeyframeConfig(threshold_bits=50.0)))
     for n, frame in enumerate(desk.frames[:6]):
         odometry.track(replace(frame, gray=1.3 * frame.gray + 5) if n >= 2 else frame)
-        a, b = odometry.affine
+        assert odometry.reference is not None
+        a, b = odometry.reference.affine
         expected = 135 if n >= 2 else 100  # of gray level 100
         assert np.exp(a) * 100 + b == pytest.approx(expected, abs=3)
 

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from idrgbdo_torch.config import KeyframeConfig
-from idrgbdo_torch.definitions.information import conditional_covariance, entropy_bits
+from idrgbdo_torch.definitions.information import conditional_covariance, entropy_bits, freedom_entropies_bits
+from idrgbdo_torch.kernels.information import freedom_entropies
 from idrgbdo_torch.tracker.keyframe import (
     REFERENCE_FRAMES,
     SURE_BITS,
     entropy_decrement,
-    freedom_entropies,
-    freedom_entropies_bits,
     lost_certainty,
     wants_keyframe,
 )

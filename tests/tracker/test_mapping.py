@@ -17,6 +17,7 @@ from idrgbdo_torch.frame import Keyframe, RgbdFrame, prepare
 from idrgbdo_torch.kernels import selection as choice
 from idrgbdo_torch.measurement import kernel_noise
 from idrgbdo_torch.open3d_loader import load_open3d
+from idrgbdo_torch.tracker.backends import backend_named
 from idrgbdo_torch.tracker.keyframe import make_keyframe
 from idrgbdo_torch.tracker.mapping import (
     Cloud,
@@ -29,6 +30,7 @@ from idrgbdo_torch.tracker.mapping import (
 )
 from idrgbdo_torch.tracker.selection import point_bits
 
+FUSED = backend_named("fused")
 CAMERA = Pinhole(width=160, height=120, fx=130.0, fy=128.0, cx=80.5, cy=58.0)
 
 
@@ -51,7 +53,7 @@ def wall_frame(x_m: float = 0.0, timestamp: float = 0.0, color: bool = True) -> 
 
 
 def wall_keyframe(color: bool = True) -> Keyframe:
-    return make_keyframe(prepare(wall_frame(color=color)), Config(), np.random.default_rng(0))
+    return make_keyframe(prepare(wall_frame(color=color)), Config(), np.random.default_rng(0), FUSED)
 
 
 def scattered(n: int, seed: int = 0) -> Cloud:
@@ -190,7 +192,7 @@ def test_the_map_of_a_run_lies_on_the_wall(window: bool) -> None:
     odometry = IdRgbdo(config)
     for index in range(12):
         result = odometry.track(wall_frame(0.01 * index, index / 30))
-    assert len(odometry.keyframe_poses) > 1
+    assert len(odometry.history.keyframe_poses) > 1
     points, colors = odometry.map_points()
     assert len(points) == len(colors) > 100
     assert points.dtype == torch.float32
@@ -207,7 +209,7 @@ def test_the_bits_of_a_point_are_what_would_be_lost_without_it() -> None:
     keyframe = wall_keyframe()
     index = np.arange(0, len(keyframe.points.uv), 5)
     noise = kernel_noise(Config().noise)
-    uv, bits = point_bits(keyframe, np.eye(4), index, noise)
+    uv, bits = point_bits(keyframe, np.eye(4), index, noise, FUSED)
     np.testing.assert_allclose(uv.numpy(), keyframe.points.uv[index])
     cam = keyframe.frame.intrinsics[0]
     rows, _, _ = choice.whitened_rows(cam, CAMERA.width, CAMERA.height, 0.0, keyframe.points, index, np.eye(4), noise)

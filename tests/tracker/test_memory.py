@@ -10,7 +10,7 @@ SCRIPT = """
 import resource, sys
 from dataclasses import replace
 from idrgbdo_torch.datasets import open_sequence
-from idrgbdo_torch.id_rgbdo import IdRgbdo
+from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 from idrgbdo_torch.odometry import run
 
 def passes(sequence, times):

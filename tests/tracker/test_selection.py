@@ -17,11 +17,13 @@ from idrgbdo_torch.definitions.selection import determinant_gain, gain_bits, poi
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.frame import Keyframe, prepare
 from idrgbdo_torch.kernels import selection as choice
-from idrgbdo_torch.measurement import kernel_noise
+from idrgbdo_torch.measurement import Rows, kernel_noise
+from idrgbdo_torch.tracker.backends import backend_named
 from idrgbdo_torch.tracker.keyframe import make_keyframe
 from idrgbdo_torch.tracker.selection import grid_cells, point_bits, select_points
 from idrgbdo_torch.tracker.tracking import motion_information
 
+FUSED = backend_named("fused")
 NOISE = kernel_noise(Config().noise)
 PRIOR = motion_information(Config(), 1 / 30)
 
@@ -167,9 +169,8 @@ def test_bad_input_says_what_to_do(shape: tuple[int, ...], D: int, m: int) -> No
 
 
 def test_nothing_to_choose_from() -> None:
-    none = choice.select(
-        np.zeros((0, 3, 6)), np.zeros(0, np.bool_), np.zeros((0, 2)), np.zeros(0), 24, np.eye(6), 0.5, 25.0, 6.0
-    )
+    nothing = Rows(np.zeros((0, 3, 6)), np.zeros(0, np.bool_), np.zeros((0, 2)))
+    none = choice.select(nothing, np.zeros(0), 24, np.eye(6), 0.5, 25.0, 6.0)
     assert none.tolist() == []
     assert select_informative(torch.zeros(0, 3, 6), torch.zeros(0), 24, torch.eye(6)).tolist() == []
 
@@ -183,7 +184,7 @@ def test_grid_cells_are_squares_of_the_asked_number() -> None:
 
 def keyframe_of(desk: Film, mode: Mode, seed: int = 0) -> Keyframe:
     config = replace(Config(), selection=SelectionConfig(mode=mode))
-    return make_keyframe(prepare(desk.frames[0]), config, np.random.default_rng(seed))
+    return make_keyframe(prepare(desk.frames[0]), config, np.random.default_rng(seed), FUSED)
 
 
 def bits_of(keyframe: Keyframe, T: np.ndarray, index: np.ndarray) -> float:
@@ -205,7 +206,7 @@ def test_every_mode_keeps_the_rules(desk: Film, mode: Mode, m: int) -> None:
     T = desk.T(8, 0)
     keyframe = keyframe_of(desk, mode)
     config = SelectionConfig(mode=mode)
-    index = select_points(keyframe, T.numpy(), m, PRIOR, config, NOISE, np.random.default_rng(0))
+    index = select_points(keyframe, T.numpy(), m, PRIOR, config, NOISE, np.random.default_rng(0), FUSED)
     assert len(np.unique(index)) == len(index) == m
     centre = warp(
         keyframe.frame.camera, torch.from_numpy(keyframe.points.uv[index]),
@@ -216,7 +217,9 @@ def test_every_mode_keeps_the_rules(desk: Film, mode: Mode, m: int) -> None:
     if mode.startswith("inf"):
         gaps = torch.cdist(centre, centre) + 1e9 * torch.eye(m)
         assert gaps.min() >= config.distance - 1e-9
-    seeds = (select_points(keyframe, T.numpy(), m, PRIOR, config, NOISE, np.random.default_rng(s)) for s in (0, 1))
+    seeds = (
+        select_points(keyframe, T.numpy(), m, PRIOR, config, NOISE, np.random.default_rng(s), FUSED) for s in (0, 1)
+    )
     same, other = (np.array_equal(index, again) for again in seeds)
     assert same and other == (mode != "rand")
 
@@ -224,7 +227,7 @@ def test_every_mode_keeps_the_rules(desk: Film, mode: Mode, m: int) -> None:
 def test_grid_takes_the_strongest_of_every_cell_first(desk: Film) -> None:
     keyframe = keyframe_of(desk, "grid")
     config = SelectionConfig(mode="grid", margin=0.0)
-    index = select_points(keyframe, np.eye(4), 24, PRIOR, config, NOISE, np.random.default_rng(0))
+    index = select_points(keyframe, np.eye(4), 24, PRIOR, config, NOISE, np.random.default_rng(0), FUSED)
     strength = (keyframe.points.gradient[0, :, 0] ** 2).sum(axis=1)
     cells = grid_cells(keyframe.points.uv, 24, 320, 240)
     assert len(np.unique(cells[index])) >= 20
@@ -244,7 +247,7 @@ def test_information_beats_the_grid_and_the_grid_beats_chance(desk: Film) -> Non
             for seed in range(5 if mode == "rand" else 1):
                 keyframe = keyframe_of(desk, mode, seed)
                 index = select_points(
-                    keyframe, T, 24, PRIOR, SelectionConfig(mode=mode), NOISE, np.random.default_rng(seed)
+                    keyframe, T, 24, PRIOR, SelectionConfig(mode=mode), NOISE, np.random.default_rng(seed), FUSED
                 )
                 each.append(bits_of(keyframe, T, index))
             bits[mode] = float(np.mean(each))
@@ -256,7 +259,7 @@ def test_information_beats_the_grid_and_the_grid_beats_chance(desk: Film) -> Non
 def test_spread_and_the_paper_objective_are_options(desk: Film) -> None:
     keyframe, T = keyframe_of(desk, "inf+grid"), np.eye(4)
     choose = lambda **options: select_points(
-        keyframe, T, 24, PRIOR, SelectionConfig(**options), NOISE, np.random.default_rng(0)
+        keyframe, T, 24, PRIOR, SelectionConfig(**options), NOISE, np.random.default_rng(0), FUSED
     )
     greedy = choose(spread=0.0)
     assert bits_of(keyframe, T, greedy) > bits_of(keyframe, T, choose(spread=20.0))
@@ -270,16 +273,16 @@ def test_too_few_in_view_gives_what_there_is(desk: Film) -> None:
     for mode in MODES:
         keyframe = keyframe_of(desk, mode)
         config = SelectionConfig(mode=mode)
-        some = select_points(keyframe, away, 1000, PRIOR, config, NOISE, np.random.default_rng(0))
+        some = select_points(keyframe, away, 1000, PRIOR, config, NOISE, np.random.default_rng(0), FUSED)
         assert len(np.unique(some)) == len(some) < 300
         behind = np.diag([-1.0, 1.0, -1.0, 1.0])
-        assert len(select_points(keyframe, behind, 24, PRIOR, config, NOISE, np.random.default_rng(0))) == 0
+        assert len(select_points(keyframe, behind, 24, PRIOR, config, NOISE, np.random.default_rng(0), FUSED)) == 0
 
 
 def test_bits_of_a_point_are_what_would_be_lost_without_it(desk: Film) -> None:
     keyframe, T = keyframe_of(desk, "inf+grid"), desk.T(5, 0).numpy()
-    index = select_points(keyframe, T, 24, PRIOR, SelectionConfig(), NOISE, np.random.default_rng(0))
-    uv, bits = point_bits(keyframe, T, index, NOISE)
+    index = select_points(keyframe, T, 24, PRIOR, SelectionConfig(), NOISE, np.random.default_rng(0), FUSED)
+    uv, bits = point_bits(keyframe, T, index, NOISE, FUSED)
     camera = keyframe.frame.camera
     A, seen, where = choice.whitened_rows(
         keyframe.frame.intrinsics[0], camera.width, camera.height, 0.0, keyframe.points, index, T, NOISE
@@ -289,5 +292,5 @@ def test_bits_of_a_point_are_what_would_be_lost_without_it(desk: Film) -> None:
     everything = each.sum(dim=0)
     lost = [0.5 * float(log2_det(everything) - log2_det(everything - own)) for own in each]
     torch.testing.assert_close(bits, torch.tensor(lost).double(), rtol=1e-3, atol=1e-4)
-    one, bits = point_bits(keyframe, T, index[:1], NOISE)
+    one, bits = point_bits(keyframe, T, index[:1], NOISE, FUSED)
     assert one.shape == (1, 2) and torch.isfinite(bits).all() and bits > 0

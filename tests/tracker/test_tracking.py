@@ -14,18 +14,16 @@ from tracking_cases import CONFIG, EYE, NO_CHANGE, NOISE, PRIOR, Case, make_case
 
 from idrgbdo_torch.config import NoiseConfig
 from idrgbdo_torch.definitions import se3
-from idrgbdo_torch.definitions.information import log2_det
+from idrgbdo_torch.definitions.information import freedom_entropies_bits, log2_det
+from idrgbdo_torch.definitions.tracking import motion_prior_terms
 from idrgbdo_torch.frame import prepare
 from idrgbdo_torch.kernels import tracking as alignment
-from idrgbdo_torch.measurement import kernel_noise, with_blur
-from idrgbdo_torch.tracker.keyframe import freedom_entropies_bits
+from idrgbdo_torch.measurement import PIXELS, MotionPrior, State, Subset, System, kernel_noise, with_blur
+from idrgbdo_torch.tracker.motion import predict, turn_rate
 from idrgbdo_torch.tracker.tracking import (
     motion_information,
-    motion_prior_terms,
     pose_information,
-    predict,
     track_frame,
-    turn_rate,
 )
 from idrgbdo_torch.tracker.verification import unsure
 
@@ -59,9 +57,9 @@ def test_the_fused_prior_is_eq_19_about_the_predicted_pose() -> None:
     brightness = np.array([[3.0, 0.5], [0.5, 2.0]])
     affine, centre = np.array([0.1, 4.0]), np.array([0.3, 1.0])
     H, b = np.zeros((8, 8)), np.zeros(8)
-    energy = alignment.prior_terms(
-        H, b, T.numpy(), affine, centre, information.numpy(), se3.inverse(T_prior).numpy(), brightness
-    )
+    system, state = System(H, b, np.zeros(0)), State(T.numpy(), affine)
+    prior = MotionPrior(se3.inverse(T_prior).numpy(), information.numpy(), brightness)
+    energy = alignment.prior_terms(system, state, centre, prior, brightness)
     H_true, b_true = motion_prior_terms(away, torch.zeros(6, dtype=torch.float64), information)
     np.testing.assert_allclose(H[:6, :6], H_true, rtol=1e-12)
     np.testing.assert_allclose(b[:6], b_true, rtol=1e-10)
@@ -201,9 +199,8 @@ def test_moving_things_are_outliers(cases: list[Case], desk: Film) -> None:
 def test_variants_of_the_noise_model(cases: list[Case], variance: str, depth_residual: bool) -> None:
     noise = kernel_noise(NoiseConfig(variance=variance, depth_residual=depth_residual))  # type: ignore[arg-type]
     for case in cases:
-        tracked = track_frame(
-            case.frame, case.keyframe, EYE, NO_CHANGE, case.choose(96), case.keyframe.coarse, PRIOR, noise, 4
-        )
+        coarse = Subset(case.keyframe.coarse, PIXELS)
+        tracked = track_frame(case.pair(noise=noise), State(EYE, NO_CHANGE), case.choose(96), coarse, PRIOR, 4)
         error, angle = case.error(tracked)
         assert error < 0.005 and angle < 0.2
 

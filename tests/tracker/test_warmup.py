@@ -84,9 +84,9 @@ import importlib, pkgutil
 from dataclasses import replace
 from idrgbdo_torch import kernels
 from idrgbdo_torch.config import Config
-from idrgbdo_torch.id_rgbdo import IdRgbdo
+from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 from idrgbdo_torch.synthetic import RenderedSequence, SynthConfig
-from idrgbdo_torch.warmup import warm_up
+from idrgbdo_torch.tracker.warmup import warm_up
 
 modules = [importlib.import_module(f"{kernels.__name__}.{m.name}") for m in pkgutil.iter_modules(kernels.__path__)]
 

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rendered import Film
-from window_cases import CONFIG, DEGREE, FRAMES, MM, NO_CHANGE, NOISE, PRIOR, Desk, make_desk
+from window_cases import CONFIG, DEGREE, FRAMES, FUSED, MM, NO_CHANGE, NOISE, PRIOR, Desk, make_desk
 
 from idrgbdo_torch.definitions.marginalization import prior_cost
 from idrgbdo_torch.frame import prepare
+from idrgbdo_torch.measurement import STEP, WindowSystem
 from idrgbdo_torch.tracker.keyframe import make_keyframe
 from idrgbdo_torch.tracker.selection import select_points
-from idrgbdo_torch.tracker.window import ITERATIONS, STEP, Linearised, Window
+from idrgbdo_torch.tracker.window import ITERATIONS, Window, depth_step
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +23,7 @@ def keyed(desk: Film) -> Desk:
 
 
 def cost(window: Window, limit: float = 1e9) -> float:
-    energy, _ = window.linearise(window.points(), np.ones(len(window.keyframes), dtype=np.bool_), limit)
+    energy, _ = window.linearise(window.members.points(), np.ones(len(window.members.keyframes), dtype=np.bool_), limit)
     return energy + 2 * float(prior_cost(window.prior, window.deviation()))
 
 
@@ -43,17 +44,17 @@ def test_the_answer_does_not_hang_on_the_start(keyed: Desk) -> None:
         window = keyed.window(5, 3 * MM, 0.1 * DEGREE, seed)
         window.optimise()
         window.optimise()
-        poses.append(window.T_kf_world)
+        poses.append(window.members.T)
     assert np.abs(poses[0] - poses[1]).max() < 3e-4 and np.abs(poses[0] - poses[2]).max() < 3e-4
 
 
 def test_the_first_keyframe_stays(keyed: Desk) -> None:
     window = keyed.window(5, 4 * MM, 0.15 * DEGREE)
-    first = window.T_kf_world[0].copy()
+    first = window.members.T[0].copy()
     window.optimise()
-    assert np.abs(window.T_kf_world[0] - first).max() < 1e-6
-    assert np.abs(window.affine[0]).max() < 0.05
-    assert np.abs(window.T_kf_world[1:] - keyed.window(5, 4 * MM, 0.15 * DEGREE).T_kf_world[1:]).max() > 1 * MM
+    assert np.abs(window.members.T[0] - first).max() < 1e-6
+    assert np.abs(window.members.affine[0]).max() < 0.05
+    assert np.abs(window.members.T[1:] - keyed.window(5, 4 * MM, 0.15 * DEGREE).members.T[1:]).max() > 1 * MM
 
 
 def test_one_keyframe_has_nothing_to_refine(keyed: Desk) -> None:
@@ -63,11 +64,11 @@ def test_one_keyframe_has_nothing_to_refine(keyed: Desk) -> None:
 
 def test_schur_step_is_the_dense_step(keyed: Desk) -> None:
     window = keyed.window(4, 3 * MM, 0.1 * DEGREE)
-    _, system = window.linearise(window.points(), np.ones(4, dtype=np.bool_), 1e9)
+    _, system = window.linearise(window.members.points(), np.ones(4, dtype=np.bool_), 1e9)
     prior = window.prior.H.numpy()
-    H, b = system.reduced()
+    H, b = FUSED.eliminate_depths(system)
     step = np.linalg.solve(H + prior, b)
-    depths = system.depth_step(step)
+    depths = depth_step(system, step)
     cross = system.cross.reshape(-1, len(H))
     dense = np.block([[system.H + prior, cross.T], [cross, np.diag(system.Hd.ravel())]])
     known = dense.diagonal() > 0
@@ -78,19 +79,19 @@ def test_schur_step_is_the_dense_step(keyed: Desk) -> None:
 
 
 def test_unused_places_take_no_step() -> None:
-    system = Linearised(2, 3)
+    system = WindowSystem.empty(2, 3)
     system.H[:] = np.eye(2 * STEP)
     system.b[:] = 1.0
-    H, b = system.reduced()
-    assert np.array_equal(H, np.eye(2 * STEP)) and (b == 1).all() and (system.depth_step(b) == 0).all()
+    H, b = FUSED.eliminate_depths(system)
+    assert np.array_equal(H, np.eye(2 * STEP)) and (b == 1).all() and (depth_step(system, b) == 0).all()
 
 
 def test_refined_depths_reach_the_keyframes_where_tracking_reads_them(keyed: Desk) -> None:
     window = keyed.window(4, 1 * MM, 0.05 * DEGREE)
     window.optimise()
-    for k, (refined, index) in enumerate(zip(window.keyframes, window.index, strict=True)):
+    for k, (refined, index) in enumerate(zip(window.members.keyframes, window.members.chosen, strict=True)):
         before, after = keyed.keyframes[k].points, refined.points
-        assert np.array_equal(after.inv_depth[index], window.inv_depth[k, : len(index)])
+        assert np.array_equal(after.inv_depth[index], window.members.inv_depth[k, : len(index)])
         assert (after.inv_depth[index] != before.inv_depth[index]).mean() > 0.7
         assert (np.abs(after.inv_depth - before.inv_depth) < 6 * np.sqrt(before.var_inv_depth)).all()
         others = np.setdiff1d(np.arange(len(before.uv)), index)
@@ -104,10 +105,13 @@ def test_wrong_depths_are_pulled_back(keyed: Desk) -> None:
     window = keyed.window(4)
     exact = keyed.window(4)
     exact.optimise()
-    window.inv_depth = window.inv_depth * (1 + 0.02 * np.random.default_rng(0).standard_normal(window.inv_depth.shape))
-    off = np.abs(window.inv_depth - exact.inv_depth).mean()
+    window.members = window.members._replace(
+        inv_depth=window.members.inv_depth
+        * (1 + 0.02 * np.random.default_rng(0).standard_normal(window.members.inv_depth.shape))
+    )
+    off = np.abs(window.members.inv_depth - exact.members.inv_depth).mean()
     window.optimise()
-    assert np.abs(window.inv_depth - exact.inv_depth).mean() < 0.1 * off
+    assert np.abs(window.members.inv_depth - exact.members.inv_depth).mean() < 0.1 * off
 
 
 def test_brightness_is_chained_and_estimated(desk: Film, keyed: Desk) -> None:
@@ -115,19 +119,21 @@ def test_brightness_is_chained_and_estimated(desk: Film, keyed: Desk) -> None:
 
     def of_gray_100(gain: float, offset: float) -> np.ndarray:
         """What the keyframes make of gray level 100 of the first, if each is changed like this once more."""
-        window = Window(CONFIG, NOISE)
+        window = Window(CONFIG, NOISE, FUSED)
         total = np.array([0.0, 0.0])
         for n, k in enumerate(FRAMES[:4]):
             brighter = replace(desk.frames[k], gray=np.exp(total[0]) * desk.frames[k].gray + total[1])
-            keyframe = make_keyframe(prepare(brighter), CONFIG, np.random.default_rng(0))
-            index = select_points(keyframe, np.eye(4), 24, PRIOR, CONFIG.selection, NOISE, np.random.default_rng(0))
+            keyframe = make_keyframe(prepare(brighter), CONFIG, np.random.default_rng(0), FUSED)
+            index = select_points(
+                keyframe, np.eye(4), 24, PRIOR, CONFIG.selection, NOISE, np.random.default_rng(0), FUSED
+            )
             change = np.array([np.log(gain), offset]) if n else NO_CHANGE
             window.add(keyframe, desk.T(k, 0).numpy(), change, index)
-            np.testing.assert_allclose(window.affine[n], total, atol=1e-12)
+            np.testing.assert_allclose(window.members.affine[n], total, atol=1e-12)
             total = np.array([total[0] + np.log(gain), gain * total[1] + offset])
         window.optimise()
         assert keyed.errors(window)[0].max() < 1.5 * MM
-        return np.exp(window.affine[:, 0]) * 100 + window.affine[:, 1]
+        return np.exp(window.members.affine[:, 0]) * 100 + window.members.affine[:, 1]
 
     drift = of_gray_100(1.0, 0.0)
     assert 1 < np.abs(drift - 100).max() < 12
@@ -144,4 +150,4 @@ def test_a_keyframe_with_few_points_and_one_with_none(keyed: Desk) -> None:
     assert metres.max() < 2.2 * MM
     keyed.add(window, 5)
     window.optimise()
-    assert len(window.shrink()) == 1 and np.isfinite(window.T_kf_world).all()
+    assert len(window.shrink()) == 1 and np.isfinite(window.members.T).all()

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import torch
 from rendered import Film
-from window_cases import CONFIG, DEGREE, MM, Desk, make_desk, twists
+from window_cases import CONFIG, DEGREE, FUSED, MM, Desk, make_desk, twists
 
 from idrgbdo_torch.config import WindowConfig
 from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.definitions.marginalization import LinearPrior, prior_gradient, redundancy_bits
-from idrgbdo_torch.tracker.window import PROTECTED, STEP
+from idrgbdo_torch.measurement import STEP
+from idrgbdo_torch.tracker.window import PROTECTED
 
 
 @pytest.fixture(scope="module")
@@ -27,15 +28,15 @@ def test_the_window_keeps_its_size_and_its_newest(keyed: Desk) -> None:
     for k in (5, 6):
         keyed.add(window, k)
         window.optimise()
-        newest = [keyframe.frame.timestamp for keyframe in window.keyframes[-PROTECTED:]]
+        newest = [keyframe.frame.timestamp for keyframe in window.members.keyframes[-PROTECTED:]]
         removed = window.shrink()
         assert len(removed) == 1 and removed[0][0] < 6 - PROTECTED
-        assert len(window.keyframes) == len(window.index) == len(window.slots) == 5
-        assert [keyframe.frame.timestamp for keyframe in window.keyframes[-PROTECTED:]] == newest
+        assert len(window.members.keyframes) == len(window.members.chosen) == len(window.members.slots) == 5
+        assert [keyframe.frame.timestamp for keyframe in window.members.keyframes[-PROTECTED:]] == newest
         assert window.prior.H.shape == (5 * STEP,) * 2 and window.prior.b.shape == (5 * STEP,)
-        for slot, keyframe in zip(window.slots, window.keyframes, strict=True):
-            assert np.array_equal(window.images[slot], keyframe.frame.images[0])
-            assert np.array_equal(window.depths[slot], keyframe.frame.depth)
+        for slot, keyframe in zip(window.members.slots, window.members.keyframes, strict=True):
+            assert np.array_equal(window.buffers[0][slot], keyframe.frame.images[0])
+            assert np.array_equal(window.buffers[1][slot], keyframe.frame.depth)
     window.optimise()
     assert keyed.errors(window)[0].max() < 2 * MM
 
@@ -44,7 +45,7 @@ def test_removal_takes_the_most_redundant_or_the_oldest(keyed: Desk) -> None:
     window = keyed.window(6)
     window.optimise()
     k = window.least_useful()
-    H, _ = window.system.reduced()
+    H, _ = FUSED.eliminate_depths(window.system)
     H += window.prior.H.numpy()
     brightness = np.arange(len(H)) % STEP >= 6
     poses = np.linalg.inv(np.linalg.inv(H)[~brightness][:, ~brightness])
@@ -71,9 +72,9 @@ def test_marginalising_is_dense_elimination_of_its_points_and_itself(keyed: Desk
     window = keyed.window(5, 2 * MM, 0.05 * DEGREE)
     window.optimise()
     for again in (False, True):  # the second time on top of a prior, with poses that have moved since
-        K = len(window.keyframes)
+        K = len(window.members.keyframes)
         hosts = np.arange(K) == k
-        _, system = window.linearise(window.points(), hosts, CONFIG.noise.outlier)
+        _, system = window.linearise(window.members.points(), hosts, CONFIG.noise.outlier)
         cross = system.cross.reshape(-1, STEP * K)
         pull = prior_gradient(window.prior, window.deviation()).numpy()
         H = np.block([[system.H + window.prior.H.numpy(), cross.T], [cross, np.diag(system.Hd.ravel())]])
@@ -91,17 +92,19 @@ def test_marginalising_is_dense_elimination_of_its_points_and_itself(keyed: Desk
         now = u * prior_gradient(window.prior, window.deviation()).numpy()
         np.testing.assert_allclose(now, pull_star, atol=1e-6 * np.abs(g).max())
         if not again:
-            window.T_kf_world = se3.retract(twists(4, 1 * MM, 1e-3), torch.from_numpy(window.T_kf_world)).numpy()
+            window.members = window.members._replace(
+                T=se3.retract(twists(4, 1 * MM, 1e-3), torch.from_numpy(window.members.T)).numpy()
+            )
 
 
 def test_marginalising_at_the_optimum_hardly_moves_the_rest(keyed: Desk) -> None:
     window = keyed.window(5, 2 * MM, 0.05 * DEGREE)
     for _ in range(3):
         window.optimise()
-    kept = window.T_kf_world[[0, 2, 3, 4]]
+    kept = window.members.T[[0, 2, 3, 4]]
     window.marginalise(1)
     window.optimise()
-    assert np.abs(window.T_kf_world - kept).max() < 4e-4
+    assert np.abs(window.members.T - kept).max() < 4e-4
 
 
 def test_the_prior_pulls(keyed: Desk) -> None:
@@ -111,11 +114,11 @@ def test_the_prior_pulls(keyed: Desk) -> None:
     H, b = window.prior.H.clone(), window.prior.b.clone()
     H[x, x] += 1e10
     b[x] += 1e10 * (5 * MM + float(window.deviation()[x]))  # as if something else had measured it 5 mm away
-    before = window.T_kf_world.copy()
+    before = window.members.T.copy()
     window.prior = LinearPrior(H, b)
     for _ in range(3):
         window.optimise()
-    moved = se3.log(torch.from_numpy(window.T_kf_world) @ se3.inverse(torch.from_numpy(before)))
+    moved = se3.log(torch.from_numpy(window.members.T) @ se3.inverse(torch.from_numpy(before)))
     assert moved[3, 0] == pytest.approx(5 * MM, rel=0.05)
     assert moved[0].abs().max() < 1e-5  # which holds the gauge
 
@@ -126,19 +129,19 @@ def test_first_estimates_do_not_move(keyed: Desk, first_estimates: bool) -> None
     window = keyed.window(6, 2 * MM, 0.05 * DEGREE, config=config)
     window.optimise()
     window.marginalise(1)
-    assert window.in_prior[0] and window.in_prior.sum() >= 3
-    fixed, moving = window.in_prior.copy(), window.T_kf_world.copy()
-    linear = window.T_linear.copy()
+    assert window.members.in_prior[0] and window.members.in_prior.sum() >= 3
+    fixed, moving = window.members.in_prior.copy(), window.members.T.copy()
+    linear = window.members.T_linear.copy()
     np.testing.assert_array_equal(linear[fixed][1:], moving[fixed][1:])
     keyed.add(window, 6, twists(2, 2 * MM, 0.05 * DEGREE)[1])
     window.optimise()
-    assert np.abs(window.T_kf_world[:-1] - moving).max() > 1e-5
-    np.testing.assert_array_equal(window.T_linear[:-1][fixed], linear[fixed])
+    assert np.abs(window.members.T[:-1] - moving).max() > 1e-5
+    np.testing.assert_array_equal(window.members.T_linear[:-1][fixed], linear[fixed])
     window.marginalise(1)
     kept = np.delete(np.arange(5), 1)
-    np.testing.assert_array_equal(window.T_linear[: len(kept)][fixed[kept]], linear[kept][fixed[kept]])
+    np.testing.assert_array_equal(window.members.T_linear[: len(kept)][fixed[kept]], linear[kept][fixed[kept]])
     assert window.deviation().abs().max() > 0
-    _, at_state = window.linearise(window.points(), np.ones(5, dtype=np.bool_), 1e9)
-    window.T_linear = window.T_kf_world.copy()
-    _, relinearised = window.linearise(window.points(), np.ones(5, dtype=np.bool_), 1e9)
+    _, at_state = window.linearise(window.members.points(), np.ones(5, dtype=np.bool_), 1e9)
+    window.members = window.members._replace(T_linear=window.members.T.copy())
+    _, relinearised = window.linearise(window.members.points(), np.ones(5, dtype=np.bool_), 1e9)
     assert np.array_equal(at_state.H, relinearised.H) != first_estimates
