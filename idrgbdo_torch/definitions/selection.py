@@ -1,6 +1,7 @@
-"""What the choice of points reads, in torch: twin of kernels.choice.
+"""Which points to track (section 4.1, step 3): what each tells, Eqs. 17 and 18, Algorithm 1.
 
-Algorithm 1 itself has its torch definition in selection.select_informative.
+A point is given by its whitened rows A (R, D): A^T A is what it adds to the information of the state. Any Jacobian
+divided by its standard deviation will do, so these functions serve other estimators too (select_rows).
 """
 
 from __future__ import annotations

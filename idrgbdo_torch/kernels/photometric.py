@@ -1,4 +1,8 @@
-"""What all kernels share: the patch pattern, the noise, the points, and the variance of a residual."""
+"""What all kernels share of a point in a target: where it falls, how that changes, what its residual is trusted with.
+
+A point is m = (mx, my, 1), its pixel in units of the focal length, with the inverse depth d; T is T_target_host. Twins
+of photometric.py for one point.
+"""
 
 from __future__ import annotations
 
