@@ -18,7 +18,7 @@ from idrgbdo_torch.configfile import dump
 from idrgbdo_torch.definitions.camera import Pinhole, backproject, duv_dP, project
 from idrgbdo_torch.definitions.image import pyramid, sample_bilinear
 from idrgbdo_torch.definitions.se3 import exp, inverse, transform
-from idrgbdo_torch.definitions.solver import MAD_TO_SIGMA, normal_equations, solve
+from idrgbdo_torch.definitions.solver import normal_equations, solve
 from idrgbdo_torch.frame import RgbdFrame
 
 from . import checked
@@ -26,6 +26,7 @@ from .geometry import student_weight, surface_inverse_depth, twist_jacobian
 from .keyframes import Fit, Keyframe, KeyframeOdometry, KeyframeRule
 
 BORDER = 3  # px
+MAD_TO_SIGMA = 1.4826  # of a Gaussian
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from plane_world import CAMERA, SLANTED, T_TARGET_HOST, render
 from torch import Tensor
 
 from idrgbdo_torch.definitions.image import pyramid, sample_surface, sample_with_gradient
-from idrgbdo_torch.measurement import PATTERN_U, PATTERN_V, Points
+from idrgbdo_torch.definitions.photometric import PATTERN
+from idrgbdo_torch.measurement import Points, View
 
-KERNEL_PATTERN = torch.from_numpy(np.stack([PATTERN_U, PATTERN_V], axis=1))  # (8, 2) px, the kernels' own order
-P = len(KERNEL_PATTERN)
+P = len(PATTERN)
 LEVELS = 3
 SIGMA_D = 0.004  # 1/m
 EYE = torch.eye(4, dtype=torch.float64)
@@ -36,6 +36,11 @@ class Scene:
     depth: np.ndarray  # of the target, float32 m
     points: Points
 
+    @property
+    def view(self) -> View:
+        """The target."""
+        return View(self.images, self.depth, np.stack([intrinsics(level) for level in range(LEVELS)]))
+
     def tensor(self, name: str, index: np.ndarray) -> Tensor:
         return torch.from_numpy(getattr(self.points, name)[index])
 
@@ -55,7 +60,7 @@ def plane_scene() -> Scene:
     d = sample_surface(d_host, uv)[0] * torch.from_numpy(1 + 0.02 * rng.standard_normal(n))
     patches, gradients = [], []
     for level, image in enumerate(pyramid(host, LEVELS)):
-        at = ((uv + 0.5) * 0.5**level - 0.5)[:, None] + KERNEL_PATTERN
+        at = ((uv + 0.5) * 0.5**level - 0.5)[:, None] + PATTERN
         value, g, _ = sample_with_gradient(image, at)
         patches.append(value.float())
         gradients.append(g.float())

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from idrgbdo_torch.definitions.se3 import inverse
 from idrgbdo_torch.frame import RgbdFrame
+from idrgbdo_torch.open3d_loader import load_open3d
 from idrgbdo_torch.synthetic import RenderedSequence, SynthConfig
+from idrgbdo_torch.synthetic.world import World
 from idrgbdo_torch.trajectory import Trajectory
 
 SMALL = SynthConfig(kind="desk", frames=40, width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5)
@@ -43,3 +46,9 @@ def rotation_deg(T: Tensor) -> float:
 def later(frame: RgbdFrame, seconds: float) -> RgbdFrame:
     """The same images at another time."""
     return replace(frame, timestamp=frame.timestamp + seconds)
+
+
+def clearance(world: World, points: np.ndarray) -> np.ndarray:
+    """(N,) distance in metres of points (N, 3) from the nearest surface."""
+    query = load_open3d().core.Tensor(np.ascontiguousarray(points, np.float32))
+    return np.asarray(world.caster.compute_distance(query, nthreads=1).numpy(), np.float64)

@@ -1,4 +1,4 @@
-"""Gray pyramid, gradients, bilinear sampling with a validity mask, and Canny edges.
+"""Gray pyramid, gradients, and bilinear sampling with a validity mask.
 
 Images are (*B, H, W); sampling positions uv (*B, ..., 2) carry the image's batch dimensions first. Outside is invalid,
 never clamped: a sample is valid where every pixel that it needs lies in the image, else it is 0 with zero gradients.
@@ -76,14 +76,6 @@ def sample_surface(inverse_depth: Tensor, uv: Tensor, agreement: float = AGREEME
     g_v = _between(cells[1] - cells[0], a)[0]
     g = torch.stack([g_u, g_v], dim=-1)
     return torch.where(valid, value, 0.0), torch.where(valid[..., None], g, 0.0), valid
-
-
-def canny(gray: Tensor, low: float = 50.0, high: float = 200.0) -> Tensor:
-    """The (H, W) bool mask of Canny edges of a gray image (H, W) in levels 0..255."""
-    import cv2
-
-    edges = cv2.Canny(gray.round().clamp(0, 255).to(torch.uint8).cpu().numpy(), low, high)
-    return torch.from_numpy(edges).bool()
 
 
 def _between(x: Tensor, a: Tensor, dim: int = 0) -> Tensor:

@@ -198,8 +198,3 @@ def depth_residual(
 def gradient_information(gradient: Tensor, weight: Tensor) -> Tensor:
     """G (..., 2, 2), the sum over the pattern of weight g g^T: gradient (..., P, 2), weight 1 / sigma_r^2 (..., P)."""
     return gradient.mT @ (weight[..., None] * gradient)
-
-
-def point_information(G: Tensor, duv_dxi: Tensor) -> Tensor:
-    """Information J^T G J (..., 6, 6) of one point about xi, of rank 2: G (..., 2, 2), J = duv_dxi (..., 2, 6)."""
-    return duv_dxi.mT @ G @ duv_dxi

@@ -66,19 +66,6 @@ def adjoint(T: Tensor) -> Tensor:
     return torch.cat([top, bottom], dim=-2)
 
 
-def left_jacobian(xi: Tensor) -> Tensor:
-    """The (..., 6, 6) matrix J with exp(xi + e) = exp(J e) exp(xi) to first order in e.
-
-    It is the integral of exp(s ad(xi)) over s from 0 to 1, read from one block of a matrix exponential.
-    """
-    W, V = hat(xi[..., 3:]), hat(xi[..., :3])
-    ad = torch.cat([torch.cat([W, V], dim=-1), torch.cat([torch.zeros_like(W), W], dim=-1)], dim=-2)
-    eye = torch.eye(6, dtype=xi.dtype, device=xi.device).expand_as(ad)
-    top = torch.cat([ad, eye], dim=-1)  # (..., 6, 12)
-    integral: Tensor = torch.linalg.matrix_exp(torch.cat([top, torch.zeros_like(top)], dim=-2))[..., :6, 6:]
-    return integral
-
-
 def _rotation_series(angle2: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """sin t / t, (1 - cos t) / t^2 and (t - sin t) / t^3 from t^2, smooth at 0."""
     small = angle2 < 1.0

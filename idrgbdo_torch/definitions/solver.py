@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-MAD_TO_SIGMA = 1.4826  # of a Gaussian
 MIN_PIVOT = 1e-13  # of a unit-diagonal matrix: the share of a variable's information that the others do not explain
 
 
@@ -81,24 +80,3 @@ def robust_cost(r: Tensor, threshold: float | Tensor, limit: float | Tensor = fl
     """
     size = torch.minimum(r.abs(), torch.as_tensor(limit, dtype=r.dtype, device=r.device))
     return torch.where(size <= threshold, 0.5 * size * size, threshold * (size - 0.5 * threshold))
-
-
-def mad_scale(x: Tensor, valid: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """Robust centre and standard deviation (...) of x (..., N): the median, and 1.4826 median distances to it.
-
-    Medians are the lower of the two middle values. Where no value is valid both are NaN.
-    """
-    known = x if valid is None else torch.where(valid, x, torch.nan)
-    centre = known.nanmedian(dim=-1).values
-    deviation = (known - centre[..., None]).abs().nanmedian(dim=-1).values
-    return centre, MAD_TO_SIGMA * deviation
-
-
-def mad_outliers(x: Tensor, valid: Tensor | None = None, factor: float = 3.0, min_scale: float = 0.0) -> Tensor:
-    """The mask (..., N) of valid values further than factor robust standard deviations from the median.
-
-    `min_scale` keeps the deviation from collapsing to nothing when more than half of the values agree.
-    """
-    centre, scale = mad_scale(x, valid)
-    outlier = (x - centre[..., None]).abs() > factor * scale.clamp(min=min_scale)[..., None]
-    return outlier if valid is None else outlier & valid

@@ -62,13 +62,6 @@ def build_world(scene: Scene, seed: int, detail: float = 1.0, threads: int = 1) 
     )
 
 
-def clearance(world: World, points: Array) -> Array:
-    """(N,) distance in metres of points (N, 3) from the nearest surface."""
-    o3d = load_open3d()
-    query = o3d.core.Tensor(np.ascontiguousarray(points, np.float32))
-    return np.asarray(world.caster.compute_distance(query, nthreads=1).numpy(), np.float64)
-
-
 def _tessellate(surfaces: list[Surface]) -> tuple[Array, Ints, Array, Ints]:
     """Vertices (V, 3), triangles (T, 3), texture coordinates (T, 3, 2) and owning surface (T,)."""
     vertices, triangles, uv, owner, base = [], [], [], [], 0

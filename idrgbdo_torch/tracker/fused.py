@@ -12,7 +12,8 @@ from ..definitions import marginalization as defined
 from ..definitions.camera import Pinhole
 from ..definitions.marginalization import LinearPrior
 from ..definitions.selection import select_by_definition
-from ..kernels import candidates, information, marginalization, selection, tracking, verification, window
+from ..kernels import candidates, marginalization, selection, tracking, verification, window
+from ..kernels import information as entropies
 from ..measurement import (
     Agreement,
     Aligned,
@@ -94,8 +95,8 @@ class Fused:
     def displacement(self, camera: Array, points: Points, index: Array, T_a: Array, T_b: Array) -> float:
         return float(verification.displacement(camera, points, index, T_a, T_b))
 
-    def freedom_entropies(self, information_matrix: Array) -> Array:
-        return information.freedom_entropies(information_matrix)
+    def freedom_entropies(self, information: Array) -> Array:
+        return entropies.freedom_entropies(information)
 
     def robust_scale(self, rms: Array) -> float:
         return float(tracking.robust_scale(rms))
@@ -116,6 +117,6 @@ class Fused:
             return LinearPrior(torch.from_numpy(H_star), torch.from_numpy(b_star))
         return defined.marginalize(torch.from_numpy(H), torch.from_numpy(b), torch.from_numpy(marginal))
 
-    def redundancy(self, information_matrix: Array) -> Array:
-        ok, psi = marginalization.redundancy(information_matrix)
-        return psi if ok else defined.redundancy_bits(torch.from_numpy(information_matrix)).numpy()
+    def redundancy(self, information: Array) -> Array:
+        ok, psi = marginalization.redundancy(information)
+        return psi if ok else defined.redundancy_bits(torch.from_numpy(information)).numpy()

@@ -162,7 +162,7 @@ def test_nothing_grows_along_a_sequence(full: bool, footage: Film, show: Show) -
             times[keyframe].append(ms)
     growth = {kind: median(last[kind]) / median(first[kind]) for kind in first if first[kind] and last[kind]}
     rates = ", ".join(f"a {'keyframe' if kind else 'frame'} {rate:.3f}" for kind, rate in growth.items())
-    show(f"after {len(old.times)} frames {rates} of what it cost at first, memory {memory:+.1f} MB")
+    show(f"after {len(old.history.times)} frames {rates} of what it cost at first, memory {memory:+.1f} MB")
     if full:
         assert max(growth.values()) < 1.05
         assert memory < 20

@@ -12,10 +12,10 @@ from idrgbdo_torch.definitions.camera import (
     dP_dinverse_depth,
     duv_dP,
     inside,
-    inverse_depth_sigma,
     project,
 )
 from idrgbdo_torch.errors import IdRgbdoError
+from idrgbdo_torch.measurement import inverse_depth_sigma
 
 CAMERA = Pinhole(width=640, height=480, fx=525.0, fy=520.0, cx=319.5, cy=239.5)
 UV = torch.tensor([[319.5, 239.5], [0.0, 0.0], [600.25, 13.75]], dtype=torch.float64)

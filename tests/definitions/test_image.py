@@ -10,7 +10,6 @@ from torch import Tensor
 from torch.func import jacfwd
 
 from idrgbdo_torch.definitions.image import (
-    canny,
     gradient,
     pyramid,
     sample_bilinear,
@@ -141,11 +140,3 @@ def test_surface_needs_four_agreeing_neighbours() -> None:
     assert sample_surface(jump, uv[0], agreement=0.1)[2]
     rough = noise(6, 8) / 255 + 20  # within 5 %, but not a plane
     torch.testing.assert_close(sample_surface(rough, uv[0])[1], jacfwd(lambda x: sample_surface(rough, x)[0])(uv[0]))
-
-
-def test_canny_marks_the_edge_of_a_square() -> None:
-    image = torch.zeros(40, 40)
-    image[10:30, 10:30] = 200
-    edges = canny(image)
-    assert edges.dtype == torch.bool and edges.shape == (40, 40)
-    assert edges[20, 9:11].any() and not edges[15:25, 15:25].any() and not edges[:5].any()

@@ -14,7 +14,7 @@ from torch import Tensor
 from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.definitions.linearise import Target, gradient_in_target, linearise_pairs, residual_noise
 from idrgbdo_torch.definitions.photometric import warp
-from idrgbdo_torch.definitions.points import TRACKING_PATTERN, HostPoints, host_points, pick_points, tracking_pyramid
+from idrgbdo_torch.definitions.points import HostPoints, host_points, pick_points, tracking_pyramid
 from idrgbdo_torch.definitions.tracking import AlignedPairs, align_pairs
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.frame import prepare
@@ -126,7 +126,7 @@ def test_a_keyframe_s_gradient_as_the_target_shows_it() -> None:
     """Against the chain rule: the gradient of the host's brightness along the inverse warp."""
     T = planes(1, seed=5).T[0]
     uv, d = points(SLANTED, 60)
-    warped = warp(CAMERA, uv, d, T, TRACKING_PATTERN)
+    warped = warp(CAMERA, uv, d, T)
     g = torch.randn(len(uv), 8, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     moved = gradient_in_target(CAMERA, g, d, warped, T)
     for n in range(len(uv)):

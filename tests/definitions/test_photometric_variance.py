@@ -26,7 +26,6 @@ from idrgbdo_torch.definitions.photometric import (
     gradient_information,
     linearize,
     photometric_variance,
-    point_information,
     projective_distortion,
     residual_variance,
     warp,
@@ -108,13 +107,14 @@ def test_variance_as_printed() -> None:
         photometric_variance(g, duv_dd, 0.01, mode="exact")  # type: ignore[arg-type]
 
 
-def test_point_information_is_the_sum_over_rows() -> None:
+def test_information_of_a_patch_is_the_sum_over_rows() -> None:
     uv, d = points(FACING, step=50)
     gray, _ = render(T_TARGET_HOST, FACING)
     warped = warp(CAMERA, uv, d, T_TARGET_HOST)
     term = linearize(gray, warped, host_intensity(uv, FACING, PATTERN), AFFINE)
     weight = 1 / photometric_variance(term.gradient, warped.duv_dd, 0.004)
-    information = point_information(gradient_information(term.gradient, weight), warped.duv_dxi)
+    G = gradient_information(term.gradient, weight)
+    information = warped.duv_dxi.mT @ G @ warped.duv_dxi
     rows = torch.einsum("npi,np,npj->nij", term.dr_dxi, weight, term.dr_dxi)
     torch.testing.assert_close(information, rows)
     assert information.shape == (len(uv), 6, 6)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.func import jacfwd, vmap
 
-from idrgbdo_torch.definitions.solver import huber_weight, mad_outliers, mad_scale, normal_equations, robust_cost, solve
+from idrgbdo_torch.definitions.solver import huber_weight, normal_equations, robust_cost, solve
 
 
 def system(*shape: int, n: int = 40, m: int = 6) -> tuple[Tensor, Tensor, Tensor]:
@@ -115,28 +115,3 @@ def test_cost_is_quadratic_then_linear_then_flat() -> None:
     expected = torch.tensor([0.0, 4.5, 40.5, 49.5, 139.5, 139.5, 139.5], dtype=torch.float64)
     torch.testing.assert_close(robust_cost(r, 9.0, 20.0), expected)
     assert robust_cost(r, 9.0)[-1] == 9 * (1e6 - 4.5)
-
-
-def test_mad_scale_of_a_gaussian_and_its_outliers() -> None:
-    x = 5 + 2 * torch.randn(20_001, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    centre, scale = mad_scale(x)
-    assert float(centre) == pytest.approx(5, abs=0.05) and float(scale) == pytest.approx(2, abs=0.05)
-
-
-def test_mad_rule_drops_the_outliers_that_three_sigma_keeps() -> None:
-    x = torch.randn(24, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    x[[3, 8, 15, 20]] = torch.tensor([11.0, 12.0, 13.0, -12.0], dtype=torch.float64)
-    found = mad_outliers(x)
-    assert found.nonzero().flatten().tolist() == [3, 8, 15, 20]
-    assert ((x - x.mean()).abs() > 3 * x.std()).sum() == 0
-
-
-def test_masked_values_neither_count_nor_are_outliers() -> None:
-    x = torch.tensor([[1.0, 2.0, 3.0, 100.0, 4.0, 5.0], [1.0, 1.0, 1.0, 1.0, 1.2, 9.0]])
-    valid = torch.tensor([[True, True, True, False, True, True], [True] * 6])
-    centre, scale = mad_scale(x, valid)
-    torch.testing.assert_close(centre, torch.tensor([3.0, 1.0]))
-    torch.testing.assert_close(scale, torch.tensor([1.4826, 0.0]))
-    assert mad_outliers(x, valid).tolist() == [[False] * 6, [False, False, False, False, True, True]]
-    assert mad_outliers(x, valid, min_scale=0.1)[1].tolist() == [False] * 5 + [True]
-    assert not mad_outliers(x, torch.zeros(2, 6, dtype=torch.bool)).any()

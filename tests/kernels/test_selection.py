@@ -15,15 +15,14 @@ from idrgbdo_torch.definitions.photometric import (
     distortion_weight,
     gradient_information,
     photometric_variance,
-    point_information,
     projective_distortion,
     residual_variance,
     warp,
 )
 from idrgbdo_torch.definitions.selection import gain_bits, select_informative
 from idrgbdo_torch.kernels import selection as choice
-from idrgbdo_torch.kernels import verification as agreement
-from idrgbdo_torch.measurement import Points, kernel_noise
+from idrgbdo_torch.kernels.verification import verify
+from idrgbdo_torch.measurement import GRADIENT_NOISE, Agreement, Points, Rows, State, View, kernel_noise
 
 
 @pytest.fixture(scope="module")
@@ -46,10 +45,10 @@ def test_whitened_rows_carry_the_point_s_information(scene: Scene) -> None:
     g = torch.from_numpy(scene.points.gradient[0]).double()
     h, _ = distortion_weight(projective_distortion(d, warped.P, T_TARGET_HOST), noise.c_h)
     phi = photometric_variance(g, warped.duv_dd, var_d.sqrt(), shared=P, sigma_intensity=4.0, sigma_pixel=0.3)
-    signal = 1 - choice.GRADIENT_NOISE * noise.var_intensity / (g.square().sum(-1) + 1e-9)  # share that is not noise
+    signal = 1 - GRADIENT_NOISE * noise.var_intensity / (g.square().sum(-1) + 1e-9)  # share that is not noise
     assert 0.02 < (signal < 0).double().mean() < 0.9
     G = gradient_information(g, signal.clamp(min=0) / residual_variance(h, phi))
-    expected = point_information(G, warped.duv_dxi)
+    expected = warped.duv_dxi.mT @ G @ warped.duv_dxi
     z = warped.P[:, 2]
     row = warped.dP_dxi[:, 2] / z[:, None] ** 2 / (noise.var_depth + var_d / (z * d) ** 4).sqrt()[:, None]
     expected = expected + row[..., None] * row[:, None]
@@ -59,7 +58,7 @@ def test_whitened_rows_carry_the_point_s_information(scene: Scene) -> None:
         intrinsics(0), CAMERA.width, CAMERA.height, 20.0, scene.points, index, T_TARGET_HOST.numpy(),
         noise._replace(use_depth=False),
     )  # fmt: skip
-    assert (blind[0][:, 2] == 0).all() and (A[seen, 2, 2] > 0).all()
+    assert (blind.A[:, 2] == 0).all() and (A[seen, 2, 2] > 0).all()
 
 
 def test_gains_and_the_covariance_after_a_choice() -> None:
@@ -88,7 +87,7 @@ def test_the_lazy_choice_is_algorithm_1(seed: int, distance: float) -> None:
     information = np.diag(rng.uniform(0.1, 1, 6))
     visible = np.flatnonzero(seen)
     for m in (1, 4, 6, 24, 60):
-        mine = choice.select(A, seen, where, radius, m, information, 0.5, 25.0, distance)
+        mine = choice.select(Rows(A, seen, where), radius, m, information, 0.5, 25.0, distance)
         expected = select_informative(
             torch.from_numpy(A[visible]), torch.from_numpy(radius[visible]), m, torch.from_numpy(information),
             spread=0.5, c_z=25.0, where=torch.from_numpy(where[visible]), distance=distance,
@@ -104,7 +103,8 @@ def test_a_freedom_that_no_point_sees_does_not_stop_the_choice() -> None:
     A = rng.standard_normal((50, 3, 6))
     A[:, :, 1] = 0.0
     where, radius, information = rng.uniform(0, 300, (50, 2)), rng.uniform(0, 1, 50), 1e-3 * np.eye(6)
-    mine = choice.select(A, np.ones(50, dtype=np.bool_), where, radius, 12, information, 0.5, 25.0, 0.0)
+    rows = Rows(A, np.ones(50, dtype=np.bool_), where)
+    mine = choice.select(rows, radius, 12, information, 0.5, 25.0, 0.0)
     expected = select_informative(
         torch.from_numpy(A), torch.from_numpy(radius), 12, torch.from_numpy(information), spread=0.5, c_z=25.0
     )
@@ -115,7 +115,8 @@ def test_running_out_of_points_ends_the_choice() -> None:
     A = np.random.default_rng(0).standard_normal((9, 3, 6))
     where = np.zeros((9, 2))
     where[:, 0] = [0, 1, 2, 3, 100, 101, 102, 200, 300]
-    chosen = choice.select(A, np.ones(9, dtype=np.bool_), where, np.zeros(9), 24, np.eye(6), 0.5, 25.0, 6.0)
+    rows = Rows(A, np.ones(9, dtype=np.bool_), where)
+    chosen = choice.select(rows, np.zeros(9), 24, np.eye(6), 0.5, 25.0, 6.0)
     assert sorted(where[chosen, 0] // 100) == [0, 1, 2, 3]
 
 
@@ -130,13 +131,12 @@ def test_verify_counts_what_agrees(scene: Scene) -> None:
     warped = warp(CAMERA, uv, d, T_TARGET_HOST)
     value, _, valid = sample_with_gradient(torch.from_numpy(image), warped.centre)
     patch = ((value - AFFINE[1]) / AFFINE[0].exp())[:, None].float().numpy()
-    points = scene.points._replace(inv_depth=d.numpy())
+    points = scene.points._replace(inv_depth=d.numpy(), patch=patch[None])
+    view = View((image,), depth, intrinsics(0)[None])
 
-    def counts(points: Points, affine: Tensor) -> tuple[int, int, int, int]:
-        return agreement.verify(
-            image, depth, intrinsics(0), 0, points, patch, np.arange(200), T_TARGET_HOST.numpy(), affine.numpy(),
-            noise, 12.0,
-        )  # fmt: skip
+    def counts(points: Points, affine: Tensor) -> Agreement:
+        state = State(T_TARGET_HOST.numpy(), affine.numpy())
+        return verify(view, 0, points, np.arange(200), state, noise, 12.0)
 
     seen, bright, with_depth, near = counts(points, AFFINE)
     assert seen == int(valid.sum()) < 200 and bright == seen

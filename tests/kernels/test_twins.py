@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import pytest
 import torch
-from plane_scene import KERNEL_PATTERN, P, Scene, close, intrinsics, plane_scene
+from plane_scene import P, Scene, close, plane_scene
 from plane_world import AFFINE, CAMERA, T_TARGET_HOST, XI
 from torch import Tensor
 
@@ -28,13 +28,12 @@ from idrgbdo_torch.definitions.photometric import (
 )
 from idrgbdo_torch.definitions.solver import huber_weight, normal_equations, robust_cost
 from idrgbdo_torch.kernels import image as sampling
-from idrgbdo_torch.kernels import linearise as linearisation
 from idrgbdo_torch.kernels import photometric as model
 from idrgbdo_torch.kernels import se3 as lie
-from idrgbdo_torch.kernels import selection as choice
 from idrgbdo_torch.kernels import solver as linear
-from idrgbdo_torch.kernels import tracking as alignment
-from idrgbdo_torch.measurement import Noise, kernel_noise
+from idrgbdo_torch.kernels import tracking
+from idrgbdo_torch.kernels.linearise import linearise
+from idrgbdo_torch.measurement import PATTERN_U, PATTERN_V, PIXELS, Noise, State, Subset, System, kernel_noise
 
 
 @pytest.mark.parametrize("size", [1e-12, 1e-6, 3e-5, 1e-3, 0.4, 0.5, 2.0])
@@ -106,8 +105,8 @@ def test_sampling_one_surface_of_a_depth_image() -> None:
 
 
 def test_the_patch_is_the_definition_s_and_starts_at_its_centre() -> None:
-    assert {tuple(p) for p in KERNEL_PATTERN.tolist()} == {tuple(p) for p in PATTERN.tolist()}
-    assert KERNEL_PATTERN[0].tolist() == [0, 0] and choice.PIXELS == P == len(PATTERN)
+    assert np.array_equal(np.stack([PATTERN_U, PATTERN_V], axis=1), PATTERN.numpy())
+    assert PATTERN[0].tolist() == [0, 0] and PIXELS == P == len(PATTERN)
 
 
 @pytest.mark.parametrize("mode", ["first_order", "paper"])
@@ -154,7 +153,7 @@ def linearised_by_definition(
     """H, b, energy, rms and the number of points seen, from the functions of photometric and solver."""
     camera = CAMERA.at_level(level)
     uv, d, var_d = (scene.tensor(name, index) for name in ("uv", "inv_depth", "var_inv_depth"))
-    warped = warp(camera, (uv + 0.5) * 0.5**level - 0.5, d, T, KERNEL_PATTERN)
+    warped = warp(camera, (uv + 0.5) * 0.5**level - 0.5, d, T)
     patch, g_host = (torch.from_numpy(x[level, index]).double() for x in (scene.points.patch, scene.points.gradient))
     term = linearize(torch.from_numpy(scene.images[level]).double(), warped, patch, affine)
     moved = moved_gradient(g_host, d, warped, T, level)
@@ -198,11 +197,11 @@ def test_normal_equations_of_a_frame(scene: Scene, level: int, use_depth: bool, 
     index = np.random.default_rng(1).permutation(200)[:150]
     for step in (0.0, 0.02):
         T = se3.retract(step * XI, T_TARGET_HOST)
-        H, b, rms = np.empty((8, 8)), np.empty(8), np.empty(len(index))
-        energy, seen, kept = linearisation.linearise(
-            scene.images[level], scene.depth, intrinsics(level), level, scene.points, index, P, T.numpy(),
-            AFFINE.numpy(), scale, limit, noise, H, b, rms,
-        )  # fmt: skip
+        H, b, rms = system = System(np.empty((8, 8)), np.empty(8), np.empty(len(index)))
+        state = State(T.numpy(), AFFINE.numpy())
+        energy, seen, kept = linearise(
+            scene.view, level, scene.points, Subset(index, P), state, scale, limit, noise, system
+        )
         expected = linearised_by_definition(scene, index, T, AFFINE, level, noise, scale, limit)
         unit = expected[0].diagonal().rsqrt()
         close(unit[:, None] * torch.from_numpy(H) * unit, unit[:, None] * expected[0] * unit)
@@ -219,12 +218,10 @@ def test_one_pixel_patches(scene: Scene) -> None:
     one = scene.points._replace(patch=scene.points.patch[..., :1], gradient=scene.points.gradient[..., :1, :])
     results = []
     for points in (scene.points, one):
-        H, b, rms = np.empty((8, 8)), np.empty(8), np.empty(200)
-        energy, _, _ = linearisation.linearise(
-            scene.images[0], scene.depth, intrinsics(0), 0, points, np.arange(200), 1, T_TARGET_HOST.numpy(),
-            AFFINE.numpy(), 1.0, 1e9, noise, H, b, rms,
-        )  # fmt: skip
-        results.append((H, b, energy))
+        system = System(np.empty((8, 8)), np.empty(8), np.empty(200))
+        subset, state = Subset(np.arange(200), 1), State(T_TARGET_HOST.numpy(), AFFINE.numpy())
+        energy, _, _ = linearise(scene.view, 0, points, subset, state, 1.0, 1e9, noise, system)
+        results.append((system.H, system.b, energy))
     assert np.array_equal(results[0][0], results[1][0]) and np.array_equal(results[0][1], results[1][1])
     assert results[0][2] == results[1][2] > 0
 
@@ -233,8 +230,8 @@ def test_brightness_information_is_the_schur_complement() -> None:
     rng = np.random.default_rng(0)
     J = rng.standard_normal((30, 8))
     H, least = J.T @ J, np.diag([2.0, 3.0])
-    close(alignment.brightness_information(H, least), torch.linalg.inv(torch.linalg.inv(torch.from_numpy(H))[6:, 6:]))
-    assert (alignment.brightness_information(-H, least) == least).all()
+    close(tracking.brightness_information(H, least), torch.linalg.inv(torch.linalg.inv(torch.from_numpy(H))[6:, 6:]))
+    assert (tracking.brightness_information(-H, least) == least).all()
 
 
 def test_robust_scale_of_unit_noise_is_one() -> None:
@@ -242,6 +239,6 @@ def test_robust_scale_of_unit_noise_is_one() -> None:
     rms = np.sqrt((rng.standard_normal((5001, 8)) ** 2).mean(axis=1))
     rms[::10] = -1.0  # unseen
     rms[1::10] = 50.0  # outliers
-    assert alignment.robust_scale(rms) == pytest.approx(1.1, abs=0.06)
-    assert alignment.robust_scale(np.full(4, -1.0)) == 1.0
-    assert alignment.robust_scale(np.zeros(4)) == 0.5
+    assert tracking.robust_scale(rms) == pytest.approx(1.1, abs=0.06)
+    assert tracking.robust_scale(np.full(4, -1.0)) == 1.0
+    assert tracking.robust_scale(np.zeros(4)) == 0.5

@@ -16,6 +16,7 @@ from idrgbdo_torch.config import NoiseConfig
 from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.definitions.image import sample_surface, sample_with_gradient
 from idrgbdo_torch.definitions.photometric import (
+    PATTERN,
     distortion_weight,
     photometric_variance,
     projective_distortion,
@@ -23,13 +24,11 @@ from idrgbdo_torch.definitions.photometric import (
     warp,
 )
 from idrgbdo_torch.definitions.solver import huber_weight, normal_equations, robust_cost
-from idrgbdo_torch.kernels import window as bundle
-from idrgbdo_torch.measurement import PATTERN_U, PATTERN_V, Noise, WindowPoints, kernel_noise
+from idrgbdo_torch.kernels.window import eliminate_depths, linearise_window
+from idrgbdo_torch.measurement import STEP, Noise, Views, WindowPoints, WindowState, WindowSystem, kernel_noise
 
-PATTERN = torch.from_numpy(np.stack([PATTERN_U, PATTERN_V], axis=1))  # (8, 2) px
 P = len(PATTERN)
 K, N = 3, 6  # keyframes, points of each
-STEP = 8
 CAM = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
 
 
@@ -100,16 +99,16 @@ def fused(
     scene: Scene, linear: State, hosts: np.ndarray, limit: float, noise: Noise
 ) -> tuple[Tensor, Tensor, float, np.ndarray]:
     """The kernel's normal equations as one dense system, its energy and the points' rms."""
-    H, b = np.empty((STEP * K, STEP * K)), np.empty(STEP * K)
-    Hd, bd, cross, rms = np.empty((K, N)), np.empty((K, N)), np.empty((K, N, STEP * K)), np.empty((K, N, K))
-    state = scene.state
-    energy = bundle.linearise_window(
-        scene.images, scene.depths, scene.slots, CAM, state.T.numpy(), linear.T.numpy(), state.affine.numpy(),
-        state.inv_depth.numpy(), scene.points, hosts, limit, noise, H, b, Hd, cross, bd, rms,
-    )  # fmt: skip
-    cross = cross.reshape(K * N, STEP * K)
-    whole = np.block([[H, cross.T], [cross, np.diag(Hd.ravel())]])
-    return torch.from_numpy(whole), torch.from_numpy(np.concatenate([b, bd.ravel()])), energy, rms
+    system, views = WindowSystem.empty(K, N), Views(scene.images, scene.depths, scene.slots, CAM)
+    for part in system:
+        part[...] = np.nan  # whatever was there before must not matter
+    T, affine, inv_depth = (x.numpy() for x in (scene.state.T, scene.state.affine, scene.state.inv_depth))
+    state = WindowState(T, linear.T.numpy(), affine, inv_depth)
+    energy = linearise_window(views, state, scene.points, hosts, limit, noise, system)
+    cross = system.cross.reshape(K * N, STEP * K)
+    whole = np.block([[system.H, cross.T], [cross, np.diag(system.Hd.ravel())]])
+    rhs = np.concatenate([system.b, system.bd.ravel()])
+    return torch.from_numpy(whole), torch.from_numpy(rhs), energy, system.rms
 
 
 def by_definition(
@@ -227,9 +226,11 @@ def test_eliminating_the_depths_is_dense_elimination(scene: Scene) -> None:
     H, b, _, _ = fused(scene, scene.state, np.ones(K, dtype=np.bool_), 1e9, noise)
     n = STEP * K
     Hd, bd = H.diagonal()[n:].reshape(K, N), b[n:].reshape(K, N)
-    reduced, rhs = bundle.eliminate_depths(
-        H[:n, :n].numpy(), b[:n].numpy(), Hd.numpy(), H[n:, :n].reshape(K, N, n).contiguous().numpy(), bd.numpy()
-    )
+    system = WindowSystem.empty(K, N)
+    parts = (H[:n, :n], b[:n], Hd, bd, H[n:, :n].reshape(K, N, n))
+    for part, values in zip(system[:5], parts, strict=True):
+        part[...] = values.numpy()
+    reduced, rhs = eliminate_depths(system)
     known = H.diagonal() > 0
     known[:n] = False
     expected = H[:n, :n] - H[:n, known] @ torch.linalg.solve(H[known][:, known], H[known, :n])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from faults import Recording
-from rendered import SMALL, Film
+from rendered import SMALL, Film, clearance
 
 from idrgbdo_torch import IdRgbdo
 from idrgbdo_torch.errors import IdRgbdoError
@@ -18,7 +18,6 @@ from idrgbdo_torch.odometry import run
 from idrgbdo_torch.open3d_loader import load_open3d
 from idrgbdo_torch.runs.mesh import Mesh, MeshConfig, fuse
 from idrgbdo_torch.synthetic import RenderedSequence
-from idrgbdo_torch.synthetic.world import clearance
 from idrgbdo_torch.trajectory import Trajectory
 
 SURFACE_M = 0.02  # a vertex is on the surface within this

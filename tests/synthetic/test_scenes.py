@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
+from rendered import clearance
 
 from idrgbdo_torch.datasets import open_sequence
 from idrgbdo_torch.errors import IdRgbdoError
@@ -18,7 +19,6 @@ from idrgbdo_torch.synthetic.config import Kind
 from idrgbdo_torch.synthetic.paths import rotation_matrix
 from idrgbdo_torch.synthetic.render import Depth, sub_pixels
 from idrgbdo_torch.synthetic.sensor import develop, exposure_gain, measure
-from idrgbdo_torch.synthetic.world import clearance
 
 SMALL = SynthConfig(frames=8, width=160, height=120, fx=131.25, fy=131.25, cx=79.5, cy=59.5)
 

@@ -1,0 +1,34 @@
+"""Where each equation of the paper is: the homes that docstrings say, and what the README's map says of them."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "idrgbdo_torch"
+TAGS = [*(f"Eq. ({number})." for number in range(1, 27)), "Algorithm 1."]
+HAVE_DOCSTRINGS = (ast.FunctionDef, ast.ClassDef, ast.Module)
+
+
+def homes(tag: str) -> list[str]:
+    """`file.py:name` of everything in the package whose docstring opens with the tag."""
+    found = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, HAVE_DOCSTRINGS) and (ast.get_docstring(node) or "").startswith(tag):
+                found.append(f"{path.relative_to(PACKAGE)}:{getattr(node, 'name', 'module')}")
+    return found
+
+
+def label(tag: str) -> str:
+    """What the first cell of a tag's row says: "18", "Algorithm 1"."""
+    return re.sub(r"[().]", "", tag.removeprefix("Eq. ")).strip()
+
+
+def rows() -> dict[str, list[str]]:
+    """The other cells of the README's table rows by what stands in their first one."""
+    lines = [line for line in (ROOT / "README.md").read_text().splitlines() if line.startswith("|")]
+    cells = [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in lines]
+    return {cell[0]: cell[1:] for cell in cells}
