@@ -1,10 +1,15 @@
-"""Where each equation of the paper is: the homes that docstrings say, and what the README's map says of them."""
+"""Where each equation of the paper is, by the docstrings and by the README's map, and what runs meanwhile."""
 
 from __future__ import annotations
 
 import ast
 import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
+from types import CodeType, FrameType
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "idrgbdo_torch"
@@ -32,3 +37,30 @@ def rows() -> dict[str, list[str]]:
     lines = [line for line in (ROOT / "README.md").read_text().splitlines() if line.startswith("|")]
     cells = [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in lines]
     return {cell[0]: cell[1:] for cell in cells}
+
+
+def code_of(place: str) -> CodeType:
+    """The code of a function `file.py:name`, compiled or not."""
+    file, name = place.split(":")
+    module = import_module("idrgbdo_torch." + file.removesuffix(".py").replace("/", "."))
+    function = getattr(module, name)
+    code = getattr(function, "py_func", function).__code__
+    assert isinstance(code, CodeType)
+    return code
+
+
+@contextmanager
+def called() -> Iterator[set[CodeType]]:
+    """The code of every Python function that this thread calls meanwhile."""
+    codes: set[CodeType] = set()
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        if event == "call":
+            codes.add(frame.f_code)
+
+    before = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        yield codes
+    finally:
+        sys.setprofile(before)

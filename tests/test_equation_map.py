@@ -1,33 +1,27 @@
-"""Every equation has one home, and the README's map leads to it."""
+"""Every equation has one home, and the README's map leads to it and to what runs by default in its place."""
 
 from __future__ import annotations
 
-import ast
-import re
-from pathlib import Path
+from re import fullmatch
 
 import pytest
+from equations import PACKAGE, TAGS, called, code_of, homes, label, rows
+from rendered import Film
 
-ROOT = Path(__file__).parent.parent
-TAGS = [*(f"Eq. ({number})." for number in range(1, 27)), "Algorithm 1."]
-HAVE_DOCSTRINGS = (ast.FunctionDef, ast.ClassDef, ast.Module)
+from idrgbdo_torch import IdRgbdo
 
-
-def homes(tag: str) -> list[str]:
-    """`file.py:name` of everything in the package whose docstring opens with the tag."""
-    found = []
-    for path in sorted((ROOT / "idrgbdo_torch").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, HAVE_DOCSTRINGS) and (ast.get_docstring(node) or "").startswith(tag):
-                found.append(f"{path.relative_to(ROOT / 'idrgbdo_torch')}:{getattr(node, 'name', 'module')}")
-    return found
+ITSELF = "-"  # in the column of twins: the definition runs by default too
 
 
-def rows() -> dict[str, str]:
-    """The README's table rows by what stands in their first cell."""
-    lines = [line for line in (ROOT / "README.md").read_text().splitlines() if line.startswith("|")]
-    cells = [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in lines]
-    return {cell[0]: " | ".join(cell[1:]) for cell in cells}
+def twin(tag: str) -> str:
+    """The last cell of a tag's row: `file.py:function`, or ITSELF."""
+    cell = rows()[label(tag)][-1]
+    if cell == ITSELF:
+        return ITSELF
+    found = fullmatch(r"\[(\S+\.py)\]\(idrgbdo_torch/(\S+\.py)\): `?(\w+)`?", cell)
+    assert found is not None, f"the row of {tag} names no twin: {cell}"
+    assert found[1] == found[2], f"the link of {tag}'s twin leads elsewhere: {cell}"
+    return f"{found[1]}:{found[3]}"
 
 
 @pytest.mark.parametrize("tag", TAGS)
@@ -35,8 +29,33 @@ def test_one_home_and_one_row(tag: str) -> None:
     found = homes(tag)
     assert len(found) == 1, f"{tag} opens {len(found)} docstrings: {found}"
     file, name = found[0].split(":")
-    label = re.sub(r"[().]", "", tag.removeprefix("Eq. ")).strip()  # "18", "Algorithm 1"
-    row = next((text for first, text in rows().items() if first in (label, f"({label})", tag, tag.rstrip("."))), None)
-    assert row is not None, f"the README's equation map has no row for {tag}"
-    assert file in row, f"the row of {tag} does not name {file}: {row}"
-    assert name in row, f"the row of {tag} does not name {name}: {row}"
+    assert label(tag) in rows(), f"the README's equation map has no row for {tag}"
+    _, home, _ = rows()[label(tag)]
+    assert home == f"[{file}](idrgbdo_torch/{file}): `{name}", f"the row of {tag} does not name {found[0]}: {home}"
+
+
+@pytest.mark.parametrize("tag", TAGS)
+def test_the_twin_is_there(tag: str) -> None:
+    if twin(tag) != ITSELF:
+        file, name = twin(tag).split(":")
+        assert file.startswith(("kernels/", "tracker/")), f"{file} is no place of what runs by default"
+        assert code_of(twin(tag)).co_name == name and twin(tag) not in homes(tag)
+
+
+def test_a_definition_without_a_twin_runs_by_default(desk: Film) -> None:
+    odometry = IdRgbdo()
+    with called() as codes:
+        for frame in desk.frames[:20]:
+            odometry.track(frame)
+    alone = {tag: homes(tag)[0] for tag in TAGS if twin(tag) == ITSELF}
+    idle = {tag: home for tag, home in alone.items() if code_of(home) not in codes}
+    assert alone and not idle, f"neither runs by default nor has a twin: {idle}"
+    replaced = {tag: homes(tag)[0] for tag in TAGS if twin(tag) != ITSELF and code_of(homes(tag)[0]) in codes}
+    assert not replaced, f"runs by default beside its twin: {replaced}"
+
+
+def test_kernels_stand_file_for_file_beside_their_definitions() -> None:
+    kernels, definitions = (
+        {path.stem for path in (PACKAGE / side).glob("*.py")} for side in ("kernels", "definitions")
+    )
+    assert kernels - definitions == {"compiled"}

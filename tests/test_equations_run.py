@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
-from importlib import import_module
-from types import CodeType, FrameType
 
-from equations import ROOT, TAGS, homes
+from equations import ROOT, TAGS, called, code_of, homes
 from rendered import SMALL, film
 
 from idrgbdo_torch import IdRgbdo, Status, configfile, run
@@ -17,32 +12,6 @@ from idrgbdo_torch.config import Config
 
 FRAMES = 30
 TINY = replace(SMALL, frames=FRAMES, width=160, height=120, fx=131.25, fy=131.25, cx=79.5, cy=59.5, samples=1)
-
-
-@contextmanager
-def called() -> Iterator[set[CodeType]]:
-    """The code of every Python function that this thread calls meanwhile."""
-    codes: set[CodeType] = set()
-
-    def note(frame: FrameType, event: str, _: object) -> None:
-        if event == "call":
-            codes.add(frame.f_code)
-
-    before = sys.getprofile()
-    sys.setprofile(note)
-    try:
-        yield codes
-    finally:
-        sys.setprofile(before)
-
-
-def home_code(home: str) -> CodeType:
-    """The code of `file.py:name`."""
-    file, name = home.split(":")
-    module = import_module("idrgbdo_torch." + file.removesuffix(".py").replace("/", "."))
-    code = getattr(module, name).__code__
-    assert isinstance(code, CodeType)
-    return code
 
 
 def test_thirty_frames_call_the_home_of_every_equation_and_of_algorithm_1() -> None:
@@ -55,5 +24,5 @@ def test_thirty_frames_call_the_home_of_every_equation_and_of_algorithm_1() -> N
     left = len(odometry.window.members.keyframes)
     assert left == config.window.keyframes < made, f"{made} keyframes, {left} in the window: none was marginalised"
     assert Status.LOST not in done.statuses
-    idle = {tag: home for tag in TAGS for home in homes(tag) if home_code(home) not in codes}
+    idle = {tag: home for tag in TAGS for home in homes(tag) if code_of(home) not in codes}
     assert not idle, f"never called: {idle}"

@@ -6,6 +6,7 @@ divided by its standard deviation will do, so these functions serve other estima
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import log
 from typing import Any
 
@@ -28,6 +29,9 @@ from .photometric import (
     residual_variance,
     warp,
 )
+
+FLOOR = 1e-6  # of each parameter's information in all rows: the prior where none is given
+DEFAULTS = SelectionConfig()
 
 
 def whitened_rows(camera: Pinhole, margin: float, points: Points, index: Array, T: Array, noise: Noise) -> Rows:
@@ -66,14 +70,9 @@ def _factor(G: Tensor) -> Tensor:
     return torch.stack([L00, torch.zeros_like(L00), L10, L11], dim=-1).reshape(*G.shape)
 
 
-FLOOR = 1e-6  # of each parameter's information in all rows: the prior where none is given
-SHARPNESS = 25.0  # of the spread: half weight at a fifth of the image radius
-
-
 def select_rows(
     J: Tensor, count: int, *, sigma: Tensor | float = 1.0, information: Tensor | None = None,
     cells: Tensor | None = None, where: Tensor | None = None, distance: float = 0.0, radius: Tensor | None = None,
-    spread: float = 0.25,
 ) -> Tensor:  # fmt: skip
     """Indices (<= count,) int64 of the measurements that leave the least entropy, greedily, the best first.
 
@@ -81,8 +80,9 @@ def select_rows(
     sigma: their standard deviations, a number, (N,) or (N, R). information: (D, D), what is known before, positive
     definite; by default next to nothing. cells: (N,) integers, of each cell at most one is taken; or where (N, 2) and
     distance, nothing closer is. radius: (N,) from 0 to 1; with it Algorithm 1's preference of outer points first and
-    inner ones last is added, up to `spread` bits. The choice is Algorithm 1: first the largest derivative of each
-    parameter, then the largest gain 1/2 log2 |I + J Lambda^-1 J^T|, in float64. O(N count).
+    inner ones last is added, up to a quarter of a bit (select_informative takes other weights). The choice is
+    Algorithm 1: first the largest derivative of each parameter, then the largest gain 1/2 log2 |I + J Lambda^-1 J^T|,
+    in float64. O(N count).
     """
     if J.ndim not in (2, 3) or count < 1 or not bool(torch.isfinite(J).all()):
         raise IdRgbdoError(
@@ -102,11 +102,10 @@ def select_rows(
         information = torch.diag(torch.where(everything > 0, FLOOR * everything, 1.0))
     if cells is not None:
         where, distance = cells.double()[:, None], 0.5  # of one cell is nearer than that
-    no_radius = torch.zeros(len(rows), dtype=torch.float64)
-    return select_informative(
-        rows, no_radius if radius is None else radius.double(), count, information,
-        spread=0.0 if radius is None else spread, c_z=SHARPNESS, where=where, distance=distance,
-    )  # fmt: skip
+    config = replace(DEFAULTS, distance=distance)
+    if radius is None:
+        radius, config = torch.zeros(len(rows)), replace(config, spread=0.0)
+    return select_informative(rows, radius.double(), count, information, config, where)
 
 
 def determinant_gain(rows: Tensor, information: Tensor) -> Tensor:
@@ -141,14 +140,18 @@ def point_value(gain: Tensor, radius: Tensor, z: float, c_z: float, spread: floa
 
 
 def select_informative(
-    rows: Tensor, radius: Tensor, m: int, information: Tensor, *, objective: str = "bits", spread: float = 0.5,
-    c_z: float = 25.0, where: Tensor | None = None, distance: float = 0.0,
-) -> Tensor:  # fmt: skip
+    rows: Tensor,
+    radius: Tensor,
+    m: int,
+    information: Tensor,
+    config: SelectionConfig = DEFAULTS,
+    where: Tensor | None = None,
+) -> Tensor:
     """Algorithm 1. Indices (<= m,) of the most informative points, in order of choice, from rows A (N, R, D).
 
-    information: (D, D) positive definite to begin with, the prior's. radius: (N,). objective: "bits" or "paper", see
-    point_value. where (N, 2) and distance: no two chosen points are closer (px). This is the definition, O(N m);
-    kernels.selection.select is its fused twin for poses.
+    information: (D, D) positive definite to begin with, the prior's. radius: (N,). config: objective ("bits" or
+    "paper"), spread and c_z, see point_value; with where (N, 2) no two chosen points are closer than its distance (px).
+    This is the definition, O(N m); kernels.selection.select is its fused twin for poses.
     """
     if rows.ndim != 3 or m < 1 or information.shape != (rows.shape[-1],) * 2:
         raise IdRgbdoError(
@@ -162,19 +165,20 @@ def select_informative(
     def take(best: int) -> None:
         chosen.append(best)
         free[best] = False
-        if where is not None and distance > 0.0:
-            free.logical_and_((where - where[best]).square().sum(dim=-1) >= distance**2)
+        if where is not None and config.distance > 0.0:
+            free.logical_and_((where - where[best]).square().sum(dim=-1) >= config.distance**2)
         information.add_(information_from_rows(rows[best], torch.ones(rows.shape[1])))
 
     for k in range(rows.shape[-1]):  # the largest derivative of each degree of freedom
         size = rows[..., k].square().sum(dim=-1).where(free, -torch.inf)
         if len(chosen) < m and free.any() and size.max() > 0.0:
             take(int(size.argmax()))
+    in_bits = config.objective == "bits"
     z = 1.0
     step = 1.0 / max(1, m - rows.shape[-1])
     while free.any() and len(chosen) < m:
-        gain = gain_bits(rows, information) if objective == "bits" else determinant_gain(rows, information)
-        value = point_value(gain, radius, z, c_z, spread if objective == "bits" else 1.0)
+        gain = gain_bits(rows, information) if in_bits else determinant_gain(rows, information)
+        value = point_value(gain, radius, z, config.c_z, config.spread if in_bits else 1.0)
         take(int(value.where(free, -torch.inf).argmax()))
         z = max(0.0, z - step)
     return torch.tensor(chosen, dtype=torch.int64)
@@ -184,8 +188,7 @@ def select_by_definition(rows: Rows, radius: Array, m: int, information: Array, 
     """Algorithm 1 with the configured objective over the rows that are seen: indices (<= m,) in order of choice."""
     visible = np.flatnonzero(rows.seen)
     order = select_informative(
-        torch.from_numpy(rows.A[visible]), torch.from_numpy(radius[visible]), m, torch.from_numpy(information),
-        objective=config.objective, spread=config.spread, c_z=config.c_z, where=torch.from_numpy(rows.where[visible]),
-        distance=config.distance,
+        torch.from_numpy(rows.A[visible]), torch.from_numpy(radius[visible]), m, torch.from_numpy(information), config,
+        torch.from_numpy(rows.where[visible]),
     )  # fmt: skip
     return np.asarray(visible[order.numpy()])

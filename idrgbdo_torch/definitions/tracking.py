@@ -80,17 +80,31 @@ class AlignedPairs:
     ok: Tensor  # (B,) bool: everything finite, and enough points for six degrees of freedom
 
 
+def prior_at(T_target_host: Tensor, information: Tensor | None = None, affine: Tensor | None = None) -> Prior:
+    """What is known of B pairs beforehand: a Gaussian about poses (B, 4, 4) and brightness.
+
+    information: (6, 6) or (B, 6, 6) of a left increment of the pose, none by default. affine: (B, 2), the brightness of
+    the target relative to the host, the same by default; it is held to AFFINE_SIGMA about that.
+    """
+    B = len(T_target_host)
+    known = torch.zeros(6, 6) if information is None else information
+    brightness = torch.zeros(B, 2) if affine is None else affine
+    spread = torch.diag(torch.tensor(AFFINE_SIGMA, dtype=torch.float64) ** -2).expand(B, 2, 2)
+    return Prior(T_target_host.double(), known.double().expand(B, 6, 6), brightness.double(), spread)
+
+
 def align_pairs(
-    points: HostPoints, gray: Tensor, camera: Pinhole, *, depth: Tensor | None = None, T_guess: Tensor | None = None,
-    affine: Tensor | None = None, information: Tensor | None = None, noise: ResidualNoise | None = None,
-    steps: Sequence[int] = STEPS, gradient_steps: int = 1,
+    points: HostPoints, gray: Tensor, camera: Pinhole, *, depth: Tensor | None = None,
+    T_guess: Tensor | Prior | None = None, noise: ResidualNoise | None = None, steps: Sequence[int] = STEPS,
+    gradient_steps: int = 1,
 ) -> AlignedPairs:  # fmt: skip
     """Align target images gray (B, H, W) to the keyframes of the points, all pairs at once.
 
     depth: (B, H, W) m of the targets, 0 where missing; without it brightness alone counts. T_guess: (B, 4, 4) of
-    T_target_host, identity by default, held with the information (6, 6) or (B, 6, 6), none by default. steps: most
-    iterations per level, finest first. gradient_steps: Gauss-Newton steps at the end that autograd sees: 0 for none; 1
-    gives the gradient of the implicit function at the minimum; more unroll. The search before them is not recorded.
+    T_target_host, where the search starts, identity by default; a prior (see prior_at) is started from and held too.
+    steps: most iterations per level, finest first. gradient_steps: Gauss-Newton steps at the end that autograd sees: 0
+    for none; 1 gives the gradient of the implicit function at the minimum; more unroll. The search before them is not
+    recorded.
     """
     B = len(points.uv)
     if gray.ndim != 3 or len(gray) != B or len(points.patch) < len(steps):
@@ -99,12 +113,8 @@ def align_pairs(
             f"{len(points.patch)}; pass as many images as pairs, and levels to host_points"
         )
     noise = noise or residual_noise()
-    eye = torch.eye(4, dtype=torch.float64).expand(B, 4, 4)
-    start = eye if T_guess is None else T_guess.double()
-    known = torch.zeros(6, 6, dtype=torch.float64) if information is None else information.double()
-    brightness = torch.zeros(B, 2, dtype=torch.float64) if affine is None else affine.double()
-    spread = torch.diag(torch.tensor(AFFINE_SIGMA, dtype=torch.float64) ** -2).expand(B, 2, 2)
-    prior = Prior(start, known.expand(B, 6, 6), brightness, spread)
+    guess = torch.eye(4, dtype=torch.float64).expand(B, 4, 4) if T_guess is None else T_guess
+    prior = guess if isinstance(guess, Prior) else prior_at(guess)
     inverse_depth = None if depth is None else torch.where(depth > 0, 1 / depth.clamp(min=1e-6), 0.0)
     images = tracking_pyramid(gray, len(steps))
     problems = [Problem(points, Target(k, images[k], camera, inverse_depth), steps[k]) for k in range(len(steps))]

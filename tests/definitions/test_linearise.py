@@ -15,7 +15,7 @@ from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.definitions.linearise import Target, gradient_in_target, linearise_pairs, residual_noise
 from idrgbdo_torch.definitions.photometric import warp
 from idrgbdo_torch.definitions.points import HostPoints, host_points, pick_points, tracking_pyramid
-from idrgbdo_torch.definitions.tracking import AlignedPairs, align_pairs
+from idrgbdo_torch.definitions.tracking import AlignedPairs, align_pairs, prior_at
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.frame import prepare
 
@@ -246,6 +246,25 @@ def test_learnt_weights_lower_the_error_of_other_pairs() -> None:
         optimiser.step()
     after = float(loss(held_out, trust.detach()))
     assert float(trust.detach()) < -2 and after < 0.5 * before, (before, after)
+
+
+def test_a_prior_holds_the_guess_and_starts_from_its_brightness() -> None:
+    world = planes(2, seed=13, noise=0.0)
+    guess = se3.retract(torch.full((6,), 0.004, dtype=torch.float64), world.T)
+    certain = 1e14 * torch.eye(6, dtype=torch.float64)
+    held = align_pairs(world.host(), world.gray, CAMERA, T_guess=prior_at(guess, certain))
+    torch.testing.assert_close(held.T_target_host, guess, rtol=0, atol=1e-6)
+    free = align_pairs(world.host(), world.gray, CAMERA, T_guess=guess)
+    assert off(free, world.T).norm(dim=1).max() < 1e-3
+    assert torch.equal(align_pairs(world.host(), world.gray, CAMERA, T_guess=prior_at(guess)).affine, free.affine)
+    brighter = torch.tensor([[0.8, 60.0]] * 2).double()
+    gray = brighter[0, 0].exp() * world.gray + brighter[0, 1]
+    known = align_pairs(world.host(), gray, CAMERA, T_guess=prior_at(guess, affine=brighter))
+    assert off(known, world.T).norm(dim=1).max() < 2e-3 and (known.affine - brighter).abs().max() < 0.5
+    start = align_pairs(
+        world.host(), gray, CAMERA, T_guess=prior_at(guess, affine=brighter), steps=(0,), gradient_steps=0
+    )
+    assert torch.equal(start.T_target_host, guess) and torch.equal(start.affine, brighter)
 
 
 def test_wrong_shapes_are_named() -> None:

@@ -71,7 +71,7 @@ def test_spread_goes_from_outside_in() -> None:
     J = 1e-3 * jacobian(300, 3, seed=5)
     radius = torch.rand(300, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     prior = torch.eye(3, dtype=torch.float64)
-    chosen = select_rows(J, 23, information=prior, radius=radius, spread=1.0)[3:]
+    chosen = select_rows(J, 23, information=prior, radius=radius)[3:]
     assert radius[chosen[:3]].min() > 0.8 and radius[chosen[-3:]].max() < 0.2
 
 

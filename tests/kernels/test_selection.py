@@ -9,7 +9,7 @@ from plane_scene import P, Scene, both, close, intrinsics, plane_scene
 from plane_world import AFFINE, CAMERA, SLANTED, T_TARGET_HOST, render
 from torch import Tensor
 
-from idrgbdo_torch.config import NoiseConfig
+from idrgbdo_torch.config import NoiseConfig, SelectionConfig
 from idrgbdo_torch.definitions.image import sample_surface, sample_with_gradient
 from idrgbdo_torch.definitions.photometric import (
     distortion_weight,
@@ -90,7 +90,7 @@ def test_the_lazy_choice_is_algorithm_1(seed: int, distance: float) -> None:
         mine = choice.select(Rows(A, seen, where), radius, m, information, 0.5, 25.0, distance)
         expected = select_informative(
             torch.from_numpy(A[visible]), torch.from_numpy(radius[visible]), m, torch.from_numpy(information),
-            spread=0.5, c_z=25.0, where=torch.from_numpy(where[visible]), distance=distance,
+            SelectionConfig(spread=0.5, distance=distance), torch.from_numpy(where[visible]),
         )  # fmt: skip
         assert mine.tolist() == visible[expected.numpy()].tolist()
         assert len(mine) == m
@@ -106,7 +106,7 @@ def test_a_freedom_that_no_point_sees_does_not_stop_the_choice() -> None:
     rows = Rows(A, np.ones(50, dtype=np.bool_), where)
     mine = choice.select(rows, radius, 12, information, 0.5, 25.0, 0.0)
     expected = select_informative(
-        torch.from_numpy(A), torch.from_numpy(radius), 12, torch.from_numpy(information), spread=0.5, c_z=25.0
+        torch.from_numpy(A), torch.from_numpy(radius), 12, torch.from_numpy(information), SelectionConfig(spread=0.5)
     )
     assert mine.tolist() == expected.tolist()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -135,15 +136,15 @@ def oracle(rows: np.ndarray, radius: np.ndarray, m: int, start: np.ndarray, obje
 @pytest.mark.parametrize(
     ("R", "D", "m", "distance"), [(1, 6, 12, 0.0), (3, 6, 24, 10.0), (2, 4, 3, 0.0), (1, 6, 99, 20.0)]
 )
-def test_algorithm_1(objective: str, R: int, D: int, m: int, distance: float) -> None:
+def test_algorithm_1(objective: Literal["bits", "paper"], R: int, D: int, m: int, distance: float) -> None:
     for seed in range(3):
         rng = np.random.default_rng(seed)
         rows = 0.25 * rng.standard_normal((70, R, D))  # small enough for the printed spread term to decide
         radius, where, start = rng.uniform(0, 1, 70), rng.uniform(0, 100, (70, 2)), np.diag(rng.uniform(0.3, 1, D))
         expected = oracle(rows, radius, m, start, objective, where, distance, 0.4, 25.0)
         chosen = select_informative(
-            torch.from_numpy(rows), torch.from_numpy(radius), m, torch.from_numpy(start), objective=objective,
-            spread=0.4, where=torch.from_numpy(where), distance=distance,
+            torch.from_numpy(rows), torch.from_numpy(radius), m, torch.from_numpy(start),
+            SelectionConfig(objective=objective, spread=0.4, distance=distance), torch.from_numpy(where),
         )  # fmt: skip
         assert chosen.tolist() == expected
         assert m == 99 or len(expected) == m
