@@ -172,11 +172,8 @@ def test_more_than_a_tenth_without_partner_is_an_error_that_says_what_was_tried(
     with pytest.raises(IdRgbdoError) as caught:
         pair([n for k, n in enumerate(numbers) if k % 5], [n for k, n in enumerate(numbers) if k % 5 != 2])
     message = str(caught.value)
-    for part in (
-        "'000001.png' and '000000.png'",
-        "tried their numbers: 60 of 80 have a partner, not so '000002.png'",
-        "--associations",
-    ):
+    tried = "tried their numbers: 60 of 80 have a partner, not so '000002.png'"
+    for part in ("'000001.png' and '000000.png'", tried, "--associations"):
         assert part in message
     late = written(lambda k, ns: f"{ns // 10**9}_{ns % 10**9}.png", START_NS + 10**12 + 7)
     with pytest.raises(IdRgbdoError, match=r"tried the times in their names \(.*\): the closest two are 99\d\.\d+ s"):
