@@ -68,22 +68,23 @@ def by_frame(
     first, last = min(poses), max(poses)
     shifts = [0, 1, *(shift for shift in (images[0] - first, images[-1] - last) if shift > 1)]
     fit = [shift for shift in shifts if images[0] - shift >= first and images[-1] - shift <= last]
+    counts = f"the trajectory has {len(poses)} poses, numbers {first} to {last}; the images' go from {images[0]} to "
     if fit:
-        ends = [shift for shift in fit if images[-1] - shift == last] or [
-            shift for shift in fit if images[0] - shift == first
-        ]
-        shift = (ends or fit)[0]
-        return {number: poses[number - shift] for number in frames if number - shift in poses}, ()
+        ends = [shift for shift in fit if images[-1] - shift == last]
+        from_one = [1] if images[0] - first == 1 and 1 in fit else []
+        shift = (ends or from_one or fit)[0]
+        unsure = bool(ends and from_one and ends != from_one)
+        said = (f"{counts}{images[-1]}, and pose {first} is taken for number {first}, not for 1",) if unsure else ()
+        return {number: poses[number - shift] for number in frames if number - shift in poses}, said
     ordered = [poses[number] for number in sorted(poses)]
-    for numbers in (images, frames):
+    for numbers, kind in ((images, "image"), (frames, "frame")):
         if len(numbers) == len(ordered):
-            return {n: T for n, T in zip(numbers, ordered, strict=True) if n in set(frames)}, ()
+            said = (f"{counts}{images[-1]}, and the poses are taken for those of each {kind}, in their order",)
+            of_number = dict(zip(numbers, ordered, strict=True))
+            return {number: of_number[number] for number in frames}, said
     shift = images[0] - first
-    said = (
-        f"the trajectory has {len(poses)} poses for {len(images)} images whose numbers go from {images[0]} to "
-        f"{images[-1]}; the first pose is taken for the first image, the images behind the last have no reference"
-    )
-    return {number: poses[number - shift] for number in frames if number - shift in poses}, (said,)
+    said = (f"{counts}{images[-1]}, and the first pose is taken for the first image; later ones have no reference",)
+    return {number: poses[number - shift] for number in frames if number - shift in poses}, said
 
 
 def reference(times: Mapping[int, float], poses: Mapping[int, Matrix]) -> Trajectory | None:
