@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+from ..clock import in_seconds, unit_of
 from ..errors import IdRgbdoError
-from ..textfile import UNITS, read_text, ticks_per_second
+from ..textfile import read_text
 from .images import IMAGE_SUFFIXES
 
 MOST_REPEATED = 0.1  # of a list's lines; a clock that repeats more is none
@@ -77,7 +78,7 @@ class ImageList:
     def _pace(self, times: Sequence[float]) -> tuple[str, ...]:
         """Whole numbers that count the frames, or milliseconds from 0 on, look like seconds but are none."""
         gaps = sorted(b - a for a, b in pairwise(times))
-        if len(gaps) < 2 or self.unit != UNITS[1.0] or any(time % 1 for time in times):
+        if len(gaps) < 2 or self.unit != "seconds" or any(time % 1 for time in times):
             return ()
         gap = gaps[len(gaps) // 2]
         if not (gap == 1 and times[0] < 1e6) and not 8 <= gap < 1000:
@@ -106,10 +107,15 @@ def _columns(path: Path, columns: int) -> list[ImageList]:
     lists = []
     for k in range(0, columns, 2):
         values = [_number(path, number, fields[k]) for number, fields in lines]
-        ticks = ticks_per_second(values)
-        entries = [(value / ticks, fields[k + 1]) for value, (_, fields) in zip(values, lines, strict=True)]
+        unit = unit_of(values)
+        if unit is None:
+            raise IdRgbdoError(
+                f"{path}: expected times, got {lines[0][1][k]} and so on, one by one, which are numbers of images; "
+                f"{NUMBER_FRAMES}"
+            )
+        entries = [(in_seconds(value, unit), fields[k + 1]) for value, (_, fields) in zip(values, lines, strict=True)]
         files = [(time, _file(path, name)) for time, name in entries]
-        lists.append(ImageList(files, UNITS[ticks], path, [number for number, _ in lines]))
+        lists.append(ImageList(files, unit, path, [number for number, _ in lines]))
     return lists
 
 

@@ -13,11 +13,14 @@ from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 
-from ..textfile import CAMERA_GAPS_S, EPOCH_S, GAPS_S, SECONDS_BELOW, UNITS, ticks_per_second
+from ..clock import NO_SECONDS, UNITS, in_seconds, unit_of
 
 STRAYS = 0.2  # at most this share of a folder's images may be named unlike the rest
 SHORTEST_GAP_S = 2e-3  # no depth camera is faster; what counts faster is a counter
-FRACTIONS = {3: 1e3, 6: 1e6, 9: 1e9}  # digits of a part of a second: ticks per second
+EPOCH_S = (9.4e8, 4.2e9)  # 1999 to 2103: seconds since 1970 of ten digits
+SLOWEST_GAP_S = 3600.0  # of a time lapse
+CAMERA_GAPS_S = (1e-3, 0.5)  # of a camera that films; narrow enough for one unit alone to fit
+FRACTIONS = {3: "milliseconds", 6: "microseconds", 9: "nanoseconds"}  # by the digits of a part of a second
 DATE = re.compile(
     r"(?<!\d)(?P<day>\d{4}[-_.:]?\d\d[-_.:]?\d\d)[-_.T ]{0,3}"
     r"(\d\d)[-_.:h]?(\d\d)[-_.:m]?(\d\d)(?:s?[-_.,:]?(\d{1,9}))?(?!\d)"
@@ -120,7 +123,7 @@ def _possible(seconds: Sequence[float]) -> bool:
     gaps = _gaps(seconds)
     if not gaps:
         return True
-    return min(gaps) > 0 and SHORTEST_GAP_S <= statistics.median(gaps) <= GAPS_S[1]
+    return min(gaps) > 0 and SHORTEST_GAP_S <= statistics.median(gaps) <= SLOWEST_GAP_S
 
 
 def _unevenness(seconds: Sequence[float]) -> float:
@@ -138,8 +141,8 @@ def _parts_of_a_second(fields: Sequence[str]) -> list[tuple[str, list[float]]]:
     readings = [("decimals", [int(field) / 10 ** len(field) for field in fields])]
     digits = next((digits for digits in FRACTIONS if max(lengths) <= digits), None)
     if digits is not None and (len(lengths) > 1 or max(lengths) == digits or len(fields) == 1):
-        ticks = FRACTIONS[digits]
-        readings.insert(0, (UNITS[ticks], [int(field) / ticks for field in fields]))
+        unit = FRACTIONS[digits]
+        readings.insert(0, (unit, [in_seconds(int(field), unit) for field in fields]))
     return readings
 
 
@@ -184,9 +187,9 @@ def _ticks(names: Names) -> Iterator[Times]:
     """A number of milli-, micro- or nanoseconds since 1970, or since the machine's start where it is large."""
     for column in names.columns:
         values = [int(field) for field in column]
-        if min(values) >= SECONDS_BELOW:
-            ticks = ticks_per_second(values)
-            yield Times([value / ticks for value in values], UNITS[ticks])
+        unit = unit_of(values) if min(values) >= NO_SECONDS else None
+        if unit is not None:
+            yield Times([in_seconds(value, unit) for value in values], unit)
 
 
 def _whole_seconds(names: Names) -> Iterator[Times]:
@@ -237,7 +240,7 @@ def _clock(column: Sequence[str], uneven: bool = True) -> Times | None:
     gap = statistics.median(gaps)
     if gap < 8:  # ms, more than a hundred frames a second: a counter with a stride
         return None
-    for ticks in (1e3, 1e6, 1e9):
+    for unit, ticks in UNITS.items():
         if CAMERA_GAPS_S[0] <= gap / ticks <= CAMERA_GAPS_S[1]:
-            return Times([value / ticks for value in values], UNITS[ticks])
+            return Times([value / ticks for value in values], unit)
     return None

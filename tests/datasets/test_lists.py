@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from idrgbdo_torch.clock import unit_of
 from idrgbdo_torch.datasets import open_sequence
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.frame import RgbdFrame
-from idrgbdo_torch.textfile import read_text, ticks_per_second
+from idrgbdo_torch.textfile import read_text
 
 Make = Callable[..., Path]
 START = 1_612_345_678
@@ -180,22 +181,26 @@ def test_many_images_without_partner_in_time_are_said(make_recording: Make) -> N
 
 
 @pytest.mark.parametrize(
-    ("stamps", "ticks"),
+    ("stamps", "unit"),
     [
-        ([1612345678.5, 1612345678.53], 1.0),
-        ([0.0, 2.5, 5.0], 1.0),
-        ([1612345678500.0, 1612345678533.0], 1e3),
-        ([1612345678500.0, 1612345681000.0], 1e3),  # a time lapse
-        ([1612345678500000.0, 1612345678533333.0], 1e6),
-        ([1612345678500000000, 1612345678533333333], 1e9),
-        ([1612345678500000000], 1e9),
-        ([3_600_000_000_000, 3_600_033_333_333, 3_600_066_666_666], 1e9),  # since the machine was started, an hour ago
-        ([3_600_000_000, 3_600_033_333, 3_600_066_666], 1e6),
-        ([], 1.0),
+        ([1612345678.5, 1612345678.53], "seconds"),
+        ([0.0, 2.5, 5.0], "seconds"),
+        ([1612345678500.0, 1612345678533.0], "milliseconds"),
+        ([1612345678500.0, 1612345681000.0], "milliseconds"),  # a time lapse
+        ([1612345678500000.0, 1612345678533333.0], "microseconds"),
+        ([1612345678500000000, 1612345678533333333], "nanoseconds"),
+        ([1612345678500000000], "nanoseconds"),
+        (
+            [3_600_000_000_000, 3_600_033_333_333, 3_600_066_666_666],
+            "nanoseconds",
+        ),  # an hour after a start
+        ([3_600_000_000, 3_600_033_333, 3_600_066_666], "microseconds"),
+        ([], "seconds"),
+        ([10**14 + k for k in range(5)], None),  # ids
     ],
 )
-def test_the_unit_of_times(stamps: list[float], ticks: float) -> None:
-    assert ticks_per_second(stamps) == ticks
+def test_the_unit_of_times(stamps: list[float], unit: str | None) -> None:
+    assert unit_of(stamps) == unit
 
 
 def test_bytes_that_are_no_text_are_an_error(make_recording: Make, tmp_path: Path) -> None:
