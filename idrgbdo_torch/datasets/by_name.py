@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import IdRgbdoError
-from .names import Names, Times, numbers_in, read_names, repeated, ticks_in, times_in
+from .names import Names, Times, counts, numbers_in, read_names, repeated, set_back, ticks_in, times_in
 from .pairing import FPS, MOST_ALONE, alone_warning, pair_by_time, share_alone
 
 LIST = "or list the pairs, lines `time colour time depth`, and pass the list with --associations"
+
+LARGEST_NUMBER = 10**8  # of a frame: a month of them; what is larger counts something else, and only its order is used
 
 Frame = tuple[float, Path, Path]  # s, colour, depth
 
@@ -36,8 +38,9 @@ def pair_by_names(
     """
     names = read_names(color), read_names(depth)
     strays = _stray_warning(names)
-    times = times_in(names[0]), times_in(names[1])
     tried: list[str] = []
+    times = _times(names[0], tried), _times(names[1], tried)
+    clock = tuple(f"{reason}; the frames are taken by their numbers" for reason in tried)
     paired = (
         _by_time(names, times, where, limit_s, tried)
         or _by_number(names, times[0], fps or FPS, tried)
@@ -50,7 +53,17 @@ def pair_by_names(
             f"'{color[0].name}' and '{depth[0].name}'; tried {'; '.join(tried)}. Give the two images of a frame the "
             f"same number or time as their names, e.g. 000000.png, {LIST}"
         )
-    return Paired(paired.frames, paired.numbers, paired.all_numbers, paired.how, (*strays, *paired.warnings))
+    return replace(paired, warnings=(*strays, *clock, *paired.warnings))
+
+
+def _times(names: Names, tried: list[str]) -> Times | None:
+    """The times in the names, where they go on as the numbers do."""
+    times = times_in(names)
+    back = set_back(names, times) if times else None
+    if back is None:
+        return times
+    tried.append(f"the times in the names run backwards at '{back.parent.name}/{back.name}' while the numbers go on")
+    return None
 
 
 def _stray_warning(names: tuple[Names, Names]) -> tuple[str, ...]:
@@ -105,7 +118,7 @@ def _by_number(names: tuple[Names, Names], times: Times | None, fps: float, trie
         _raise_repeated(names)
     if not unique:
         return None
-    a, b = max(unique, key=lambda choice: len(set(choice[0]) & set(choice[1])))
+    a, b = max(unique, key=lambda choice: (len(set(choice[0]) & set(choice[1])), counts(choice[0])))
     color, depth = (dict(sorted(zip(n, of_one.files, strict=True))) for n, of_one in zip((a, b), names, strict=True))
     common = [number for number in color if number in depth]
     if not common or share_alone(list(color), list(depth), len(common)) > MOST_ALONE:
@@ -115,7 +128,8 @@ def _by_number(names: tuple[Names, Names], times: Times | None, fps: float, trie
         )
         return None
     seconds = dict(zip(names[0].files, times.seconds, strict=True)) if times else {}
-    frames = sorted((seconds.get(color[n], n / fps), n) for n in common)
+    places = common if max(common) < LARGEST_NUMBER else range(len(common))
+    frames = sorted((seconds.get(color[n], place / fps), n) for n, place in zip(common, places, strict=True))
     alone = [path for of_one in (color, depth) for n, path in of_one.items() if not (n in color and n in depth)]
     clock = f"times of the colour images' names ({times.kind})" if times else f"{fps:g} frames per second"
     return Paired(

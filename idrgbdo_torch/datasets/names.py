@@ -99,6 +99,24 @@ def numbers_in(names: Names) -> list[list[int]]:
     return [[int(field) for field in column] for column in reversed(columns)]
 
 
+def counts(numbers: Sequence[int]) -> bool:
+    """Whether these count frames: all different, most of them one apart."""
+    gaps = _gaps(numbers)
+    return not gaps or (min(gaps) > 0 and statistics.median(gaps) == 1)
+
+
+def set_back(names: Names, times: Times) -> Path | None:
+    """The first image whose time is before that of the image numbered before it: the clock was set back there."""
+    for column in (names.columns[k] for k in _varying(names)):
+        numbers = [int(field) for field in column]
+        if counts(numbers):
+            ordered = sorted(zip(numbers, times.seconds, names.files, strict=True))
+            for (_, before, _), (_, after, file) in pairwise(ordered):
+                if after < before:
+                    return file
+    return None
+
+
 def repeated(numbers: Sequence[int]) -> tuple[int, int] | None:
     """The places of two equal numbers, if there are such."""
     seen: dict[int, int] = {}
@@ -224,9 +242,8 @@ def _beside_a_counter(names: Names) -> Iterator[Times]:
     """`NUMBER-MICROSECONDS`: one place counts the frames by one, another goes on at the pace of a camera's clock."""
     varying = _varying(names)
     for place in varying:
-        others = [sorted(int(field) for field in names.columns[k]) for k in varying if k != place]
-        counts = any(statistics.median(_gaps(other) or [0]) == 1 for other in others)
-        clock = _clock(names.columns[place], uneven=False) if counts else None
+        counted = any(counts([int(field) for field in names.columns[k]]) for k in varying if k != place)
+        clock = _clock(names.columns[place], uneven=False) if counted else None
         if clock is not None:
             yield clock
 

@@ -178,3 +178,20 @@ def test_more_than_a_tenth_without_partner_is_an_error_that_says_what_was_tried(
     late = written(lambda k, ns: f"{ns // 10**9}_{ns % 10**9}.png", START_NS + 10**12 + 7)
     with pytest.raises(IdRgbdoError, match=r"tried the times in their names \(.*\): the closest two are 99\d\.\d+ s"):
         pair(written(TIMES["secs_nsecs"][0]), late)
+
+
+def test_a_clock_that_was_set_back_does_not_put_frames_out_of_order() -> None:
+    name = TIMES["counter_nanoseconds"][0]
+    names = [name(k, START_NS + k * STEP_NS - (3600 * 10**9 if k >= 38 else 0)) for k in range(FRAMES)]
+    paired = pair(names, names, fps=30)
+    assert [a.name for _, a, _ in paired.frames] == names
+    assert [time for time, _, _ in paired.frames] == pytest.approx([k / 30 for k in range(FRAMES)])
+    said = f"the times in the names run backwards at 'rgb/{names[38]}' while the numbers go on; the frames are taken by"
+    assert said in paired.warnings[0]
+
+
+def test_numbers_too_large_for_frames_only_tell_their_order() -> None:
+    names = written(lambda k, ns: f"{637_479_424_785_000_000 + k * 333_333}.png")  # 100 ns since the year 1
+    paired = pair(names, names, fps=10)
+    assert [a.name for _, a, _ in paired.frames] == names
+    assert [time for time, _, _ in paired.frames] == pytest.approx([k / 10 for k in range(FRAMES)])
