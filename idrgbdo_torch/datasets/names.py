@@ -18,8 +18,10 @@ from ..clock import NO_SECONDS, UNITS, in_seconds, unit_of
 STRAYS = 0.2  # at most this share of a folder's images may be named unlike the rest
 SHORTEST_GAP_S = 2e-3  # no depth camera is faster; what counts faster is a counter
 EPOCH_S = (9.4e8, 4.2e9)  # 1999 to 2103: seconds since 1970 of ten digits
+FLOAT_DECIMALS = 7  # that a float of seconds since 1970 has
+MUCH_EVENER = 2.0  # times: what an unlikely reading of digits must gain
 SLOWEST_GAP_S = 3600.0  # of a time lapse
-CAMERA_GAPS_S = (1e-3, 0.5)  # of a camera that films; narrow enough for one unit alone to fit
+CAMERA_GAPS_S = (2e-3, 1.999)  # of a camera that films; narrow enough for one unit alone to fit
 FRACTIONS = {3: "milliseconds", 6: "microseconds", 9: "nanoseconds"}  # by the digits of a part of a second
 DATE = re.compile(
     r"(?<!\d)(?P<day>\d{4}[-_.:]?\d\d[-_.:]?\d\d)[-_.T ]{0,3}"
@@ -164,13 +166,17 @@ def _parts_of_a_second(fields: Sequence[str]) -> list[tuple[str, list[float]]]:
     return readings
 
 
-def _evenest(kind: str, whole: Sequence[float], fields: Sequence[str]) -> Iterator[Times]:
-    """Whole seconds and the reading of the digits behind them that makes the frames come most evenly."""
+def _evenest(kind: str, whole: Sequence[float], fields: Sequence[str], point: bool = False) -> Iterator[Times]:
+    """Whole seconds and the reading of the digits behind them that makes the frames come evenly.
+
+    point: whether a decimal point stands between them, so that decimals are likelier than ticks.
+    """
     readings = [
         Times([s + part for s, part in zip(whole, parts, strict=True)], f"{kind} and {unit}")
         for unit, parts in _parts_of_a_second(fields)
     ]
-    yield min(readings, key=lambda times: _unevenness(times.seconds))
+    likely, *others = reversed(readings) if point else readings
+    yield min((likely, *others), key=lambda times: _unevenness(times.seconds) * (1 if times is likely else MUCH_EVENER))
 
 
 def _dates(names: Names) -> Iterator[Times]:
@@ -223,12 +229,13 @@ def _is_epoch(field: str) -> bool:
 
 def _seconds_and_fraction(names: Names) -> Iterator[Times]:
     """`SECS_NSECS` and its like: seconds since 1970, or a column that stays while the next one counts their parts."""
-    for a, b in pairwise(names.columns):
+    for place, (a, b) in enumerate(pairwise(names.columns), start=1):
         if max(len(field) for field in b) > 9:
             continue
         stays = len(set(a)) < len(a) and max(len(field) for field in b) in (6, 9)
         if all(_is_epoch(field) for field in a) or stays:
-            yield from _evenest("seconds", [float(field) for field in a], b)
+            point = names.between[place] == "." and max(len(field) for field in b) <= FLOAT_DECIMALS
+            yield from _evenest("seconds", [float(field) for field in a], b, point)
 
 
 def _decimals(names: Names) -> Iterator[Times]:

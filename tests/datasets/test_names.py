@@ -195,3 +195,20 @@ def test_numbers_too_large_for_frames_only_tell_their_order() -> None:
     paired = pair(names, names, fps=10)
     assert [a.name for _, a, _ in paired.frames] == names
     assert [time for time, _, _ in paired.frames] == pytest.approx([k / 10 for k in range(FRAMES)])
+
+
+@pytest.mark.parametrize(
+    "kind", ["secs_nsecs", "secs.nsecs of printf", "secs.decimals", "secs_msecs", "date, ms not padded"]
+)
+def test_jitter_and_dropped_frames_do_not_change_the_reading(kind: str) -> None:
+    name, resolution = TIMES[kind]
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        gaps = rng.normal(1, 0.05, 60) * (1 + (rng.random(60) < 0.2) * rng.integers(1, 4, 60)) / rng.choice([5, 15, 30])
+        times = [START_NS + int(1e9 * t) for t in np.cumsum(gaps)]
+        names, late = ([name(k, ns + d) for k, ns in enumerate(times)] for d in (0, 3_000_000))
+        paired = pair(names, late)
+        assert [(a.name, b.name) for _, a, b in paired.frames] == list(zip(names, late, strict=True))
+        assert [t for t, _, _ in paired.frames] == pytest.approx(
+            [ns / 1e9 for ns in times], abs=1.01 * resolution + 3e-7
+        )
