@@ -18,7 +18,7 @@ from .rectify import Registration, Undistortion
 
 USUAL_DEPTH_SCALES = (5000.0, 1000.0, 6553.5)  # TUM, millimetres, Replica
 PLAUSIBLE_MEDIAN_M = (0.5, 4.5)  # of what a hand-held depth camera looks at
-RawPair = tuple[NDArray[np.uint8], NDArray[Any]]  # (H, W, 3) blue green red, (h, w) uint16 or float32 raw depth
+RawPair = tuple[NDArray[np.uint8], NDArray[Any]]  # (H, W, 3) blue green red, (h, w) raw depth, integers or float32
 SATURATED = 65535  # some cameras write it for "no depth"
 
 
@@ -36,7 +36,7 @@ class FrameBuilder:
         self._registration = Registration(calibration, self.camera) if calibration.depth.fx is not None else None
 
     def frame(self, timestamp: float, color: NDArray[np.uint8], depth: NDArray[Any]) -> RgbdFrame:
-        """The frame of (H, W, 3) blue, green, red and (h, w) raw depth, uint16 or float32.
+        """The frame of (H, W, 3) blue, green, red and (h, w) raw depth, integers or float32.
 
         Raises IdRgbdoError for images of another size than the first.
         """
@@ -75,12 +75,27 @@ class FrameBuilder:
 
 def metres(depth: NDArray[Any], depth_scale: float) -> NDArray[np.float32]:
     """(H, W) float32 metres, 0 where the raw depth is 0, saturated, negative or not finite."""
-    if depth.dtype == np.uint16:
+    if depth.dtype.kind in "iu":
         depth_m = np.asarray(depth / np.float32(depth_scale), dtype=np.float32)
-        depth_m[depth == SATURATED] = 0
+        unknown = SATURATED if depth.max(initial=0) == SATURATED else np.iinfo(depth.dtype).max
+        depth_m[(depth <= 0) | (depth == unknown)] = 0
         return depth_m
     scaled = depth.astype(np.float32) / np.float32(depth_scale)
     return np.where(np.isfinite(scaled) & (scaled > 0), scaled, np.float32(0))
+
+
+def refuse_swapped_bytes(depth: NDArray[Any]) -> None:
+    """Raises IdRgbdoError where raw 16-bit depth is smooth only with its two bytes exchanged."""
+    if depth.dtype != np.uint16:
+        return
+    known = (depth[:, 1:] > 0) & (depth[:, :-1] > 0)
+    steps = [np.abs(np.diff(image.astype(np.int32), axis=1))[known] for image in (depth, depth.byteswap())]
+    if known.any() and steps[0].mean() > 20 * max(steps[1].mean(), 10.0):
+        raise IdRgbdoError(
+            "depth: the two bytes of the 16-bit values are swapped: neighbouring pixels differ by "
+            f"{steps[0].mean():.0f} on the average, with the bytes exchanged by {steps[1].mean():.0f}; "
+            "write the images again in the other byte order"
+        )
 
 
 def depth_warnings(depth: NDArray[Any], depth_scale: float) -> list[str]:

@@ -47,7 +47,8 @@ def read(folder: Path, options: Options) -> Recording:
 
 
 def _read_pngs(folder: Path, calibration: Calibration) -> Recording:
-    frames = [(round(number), color, depth) for number, color, depth in read_associations(folder / "associations.txt")]
+    listed = read_associations(folder / "associations.txt").frames
+    frames = [(round(number), color, depth) for number, color, depth in listed]
     fps = calibration.fps or FPS
     poses: dict[int, Matrix] = {}
     for path in sorted(folder.glob("*.gt.freiburg"))[:1]:

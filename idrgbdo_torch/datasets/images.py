@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zipfile
 import zlib
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import IdRgbdoError
+from .exr import read_exr
 
+# what OpenCV reads, numpy's arrays, and EXR
+IMAGE_SUFFIXES = frozenset(
+    (".png", ".jpg", ".jpeg", ".jpe", ".jp2", ".bmp", ".dib", ".tif", ".tiff", ".webp", ".avif", ".gif", ".pbm", ".pgm")
+    + (".ppm", ".pnm", ".pxm", ".pam", ".pfm", ".sr", ".ras", ".hdr", ".pic", ".npy", ".npz", ".exr")
+)
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 JPEG_TAIL = 1024  # bytes in which the end marker must stand; some cameras pad
@@ -24,11 +31,16 @@ def read_color(path: Path) -> NDArray[np.uint8]:
 
 
 def read_depth(path: Path) -> NDArray[Any]:
-    """(H, W) raw depth: uint16 of an image, float32 metres of an image of floats or a .npy file.
+    """(H, W) raw depth: integers of an image or an array (.npy, .npz), or float32 of either or of an EXR file.
 
     Raises IdRgbdoError for a file that is damaged or something else.
     """
-    return _read_npy(path) if path.suffix == ".npy" else decode_depth(_bytes(path), str(path))
+    suffix = path.suffix.lower()
+    if suffix in (".npy", ".npz"):
+        return as_depth(_read_array(path), str(path))
+    if suffix == ".exr":
+        return as_depth(read_exr(path), str(path))
+    return decode_depth(_bytes(path), str(path))
 
 
 def decode_color(data: bytes, where: str) -> NDArray[np.uint8]:
@@ -39,27 +51,56 @@ def decode_color(data: bytes, where: str) -> NDArray[np.uint8]:
 
 def decode_depth(data: bytes, where: str) -> NDArray[Any]:
     """An encoded depth image as in `read_depth`; `where` leads the messages."""
-    return _depth(_decode(data, where, cv2.IMREAD_UNCHANGED), where)
+    return as_depth(_decode(data, where, cv2.IMREAD_UNCHANGED), where)
 
 
-def _read_npy(path: Path) -> NDArray[Any]:
-    try:
-        array = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise IdRgbdoError(f"{path}: cannot read the depth ({error}); write it again with numpy.save") from error
-    return _depth(array, str(path))
+def as_depth(image: NDArray[Any], where: str) -> NDArray[Any]:
+    """An array as raw depth: (H, W) of native integers of 16 bits or more, or float32.
 
-
-def _depth(image: NDArray[Any], where: str) -> NDArray[Any]:
-    if image.ndim == 2 and image.dtype == np.uint16:
-        return image
-    if image.ndim == 2 and image.dtype in (np.float32, np.float64):
-        return image.astype(np.float32, copy=False)
-    channels = 1 if image.ndim == 2 else image.shape[-1]
+    Axes of length 1 are dropped, and so are channels that repeat the first one (and an alpha channel beside them).
+    Raises IdRgbdoError for eight bits, which hold no depth, for colours, and for anything that is no image.
+    """
+    plain = _one_channel(image)
+    channels = 1 if plain.ndim == 2 else plain.shape[-1]
+    if plain.ndim == 2 and plain.dtype.kind == "f":
+        return plain.astype(np.float32)
+    if plain.ndim == 2 and plain.dtype.kind in "iu" and plain.dtype.itemsize > 1:
+        return plain.astype(plain.dtype.newbyteorder("="), copy=False)
+    if plain.ndim == 2 and plain.dtype.itemsize == 1:
+        raise IdRgbdoError(
+            f"{where}: expected depth of 16 bits, got an 8-bit depth image ({image.dtype}), whose steps are too coarse "
+            "and whose scale nothing tells; save it as 16-bit PNG or as floats, or check that it is no gray picture"
+        )
     raise IdRgbdoError(
         f"{where}: expected a 16-bit depth image of one channel, got {image.dtype} with {channels}; "
         "check that colour and depth are not mixed up"
     )
+
+
+def _one_channel(image: NDArray[Any]) -> NDArray[Any]:
+    if image.ndim == 3 and image.shape[-1] in (2, 3, 4) and min(image.shape[:2]) > 1:
+        gray = image[..., : 1 if image.shape[-1] == 2 else 3]
+        return image[..., 0] if np.array_equal(gray, np.broadcast_to(gray[..., :1], gray.shape)) else image
+    if image.ndim == 3 and 1 in (image.shape[0], image.shape[-1]):
+        return image[..., 0] if image.shape[-1] == 1 else image[0]
+    return image
+
+
+def _read_array(path: Path) -> NDArray[Any]:
+    """The array of a .npy file, or the one of a .npz file, the one called depth where there are several."""
+    again = "write it again with numpy.save"
+    try:
+        content = np.load(path, allow_pickle=False)
+        if not isinstance(content, np.lib.npyio.NpzFile):
+            return np.asarray(content)
+        with content:
+            names = [name for name in content.files if len(content.files) == 1 or "depth" in name.lower()]
+            if len(names) == 1:
+                return np.asarray(content[names[0]])
+            there = ", ".join(content.files) or "nothing"
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise IdRgbdoError(f"{path}: cannot read the depth ({error}); {again}") from error
+    raise IdRgbdoError(f"{path}: expected one array called depth, found {there}; {again}")
 
 
 def _bytes(path: Path) -> bytes:

@@ -12,10 +12,10 @@ import torch
 from ..errors import IdRgbdoError
 from ..trajectory import associate, nearest
 from .builder import RawPair
-from .images import read_color, read_depth
+from .images import IMAGE_SUFFIXES, read_color, read_depth
 
-IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".npy"}
 FPS = 30.0  # where nothing tells the times
+MOST_ALONE = 0.1  # of the images of a kind; where more have no partner, something is wrong
 
 T = TypeVar("T")
 FilePair = tuple[Path, Path]  # colour, depth
@@ -43,8 +43,8 @@ def images(folder: Path) -> list[Path]:
     return sorted(p for p in files if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith("."))
 
 
-def numbered(folder: Path, pattern: str = r"(\d+)\D*\.\w+$") -> dict[int, Path]:
-    """The images of a folder by the number that `pattern` finds in their names; the last one by default."""
+def numbered(folder: Path, pattern: str) -> dict[int, Path]:
+    """The images of a folder by the number that `pattern` finds in their names."""
     found = ((re.search(pattern, path.name), path) for path in images(folder))
     return dict(sorted((int(number[1]), path) for number, path in found if number))
 
@@ -62,8 +62,55 @@ def pair_by_number(
             f"sequence: expected colour and depth images with the same numbers in '{where}', got {len(color)} colour "
             f"and {len(depth)} depth images without a common one; name them alike, e.g. 000000.png in both folders"
         )
-    alone = len(color) + len(depth) - 2 * len(pairs)
-    return pairs, (f"{alone} images have no partner of the same number and are left out",) if alone else ()
+    alone = [path for of_one in (color, depth) for number, path in of_one.items() if number not in pairs]
+    return pairs, alone_warning(alone, "of the same number")
+
+
+def alone_warning(alone: Sequence[Path], how: str) -> tuple[str, ...]:
+    """A sentence that counts the images without partner and names the first."""
+    if not alone:
+        return ()
+    images_have = "image has" if len(alone) == 1 else "images have"
+    are = "is" if len(alone) == 1 else "are"
+    where = f"{alone[0].parent.name}/{alone[0].name}"
+    first = where if len(alone) == 1 else f"the first is {where}"
+    return (f"{len(alone)} {images_have} no partner {how} and {are} left out: {first}",)
+
+
+def share_alone(color: Sequence[float], depth: Sequence[float], pairs: int) -> float:
+    """The share without partner, while both were recorded, of the kind that has fewer images.
+
+    color, depth: increasing times, or numbers. What comes half as often, starts later or ends earlier loses none.
+    """
+    first, last = max(color[0], depth[0]), min(color[-1], depth[-1])
+    fewer = min(sum(first <= x <= last for x in of_one) for of_one in (color, depth))
+    return max(0.0, 1 - pairs / fewer) if fewer else 0.0
+
+
+def unpaired_warning(
+    color: Sequence[tuple[float, T]], depth: Sequence[tuple[float, T]], pairs: int, limit_s: float
+) -> tuple[str, ...]:
+    """A sentence where many images have no partner in time, though both cameras were recorded then."""
+    alone = share_alone([time for time, _ in color], [time for time, _ in depth], pairs)
+    if alone <= MOST_ALONE:
+        return ()
+    return (
+        f"{len(color)} colour and {len(depth)} depth images make only {pairs} pairs within {limit_s:g} s; the others "
+        "are left out; check the two clocks, or raise --association-limit",
+    )
+
+
+def missing_files(pairs: Sequence[FilePair]) -> tuple[str, ...]:
+    """A sentence where a list names files that are not there."""
+    files = [path for pair in pairs for path in pair]
+    missing = [path for path in files if not path.exists()]
+    if not missing:
+        return ()
+    frames = sum(not (a.exists() and b.exists()) for a, b in pairs)
+    return (
+        f"{len(missing)} of {len(files)} listed image files do not exist, so that {frames} of {len(pairs)} frames are "
+        f"lost; the first is '{missing[0]}'",
+    )
 
 
 def reader(pairs: Sequence[FilePair]) -> Callable[[int], RawPair]:

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from ..errors import IdRgbdoError
+from ..textfile import read_text
 from ..trajectory import Trajectory
 
 Matrix = NDArray[np.float64]
@@ -22,7 +23,7 @@ def matrices(path: Path, columns: int = 4) -> Matrix:
     """
     count = 4 * columns
     try:
-        numbers = np.array(path.read_text(encoding="utf-8").split(), dtype=np.float64)
+        numbers = np.array(read_text(path).split(), dtype=np.float64)
     except (OSError, ValueError) as error:
         raise IdRgbdoError(f"{path}: cannot read the poses ({error}); expected {count} numbers a pose") from error
     if len(numbers) == 0 or len(numbers) % count:
@@ -40,7 +41,7 @@ def log_poses(path: Path) -> dict[int, Matrix]:
     """
     expected = "expected five lines a pose: `i i i+1`, then the 4x4 matrix"
     try:
-        numbers = np.array(path.read_text(encoding="utf-8").split(), dtype=np.float64)
+        numbers = np.array(read_text(path).split(), dtype=np.float64)
     except (OSError, ValueError) as error:
         raise IdRgbdoError(f"{path}: cannot read the poses ({error}); {expected}") from error
     if len(numbers) == 0 or len(numbers) % 19:
@@ -50,6 +51,40 @@ def log_poses(path: Path) -> dict[int, Matrix]:
     if len(set(frames.tolist())) < len(rows):
         frames = np.arange(len(rows))
     return dict(zip(frames.tolist(), rows[:, 3:].reshape(-1, 4, 4), strict=True))
+
+
+def by_frame(
+    poses: Mapping[int, Matrix], frames: Sequence[int], images: Sequence[int]
+) -> tuple[dict[int, Matrix], tuple[str, ...]]:
+    """The poses of a log by the numbers in the files' names, and a sentence where that had to be guessed.
+
+    poses: by the log's own numbers. frames: numbers of the frames, images: those of all images, also of those without
+    partner; both increasing. Logs count from 0, files from anywhere, and files may be missing: the poses belong to
+    the numbers, shifted so that all images have a pose and the last one the log's last. A log that is too short for
+    the numbers has a pose for each image, or for each frame, in their order.
+    """
+    if not poses or not images:
+        return {}, ()
+    first, last = min(poses), max(poses)
+    shifts = [0, 1, *(shift for shift in (images[0] - first, images[-1] - last) if shift > 1)]
+    fit = [shift for shift in shifts if images[0] - shift >= first and images[-1] - shift <= last]
+    counts = f"the trajectory has {len(poses)} poses, numbers {first} to {last}; the images' go from {images[0]} to "
+    if fit:
+        ends = [shift for shift in fit if images[-1] - shift == last]
+        from_one = [1] if images[0] - first == 1 and 1 in fit else []
+        shift = (ends or from_one or fit)[0]
+        unsure = bool(ends and from_one and ends != from_one)
+        said = (f"{counts}{images[-1]}, and pose {first} is taken for number {first}, not for 1",) if unsure else ()
+        return {number: poses[number - shift] for number in frames if number - shift in poses}, said
+    ordered = [poses[number] for number in sorted(poses)]
+    for numbers, kind in ((images, "image"), (frames, "frame")):
+        if len(numbers) == len(ordered):
+            said = (f"{counts}{images[-1]}, and the poses are taken for those of each {kind}, in their order",)
+            of_number = dict(zip(numbers, ordered, strict=True))
+            return {number: of_number[number] for number in frames}, said
+    shift = images[0] - first
+    said = (f"{counts}{images[-1]}, and the first pose is taken for the first image; later ones have no reference",)
+    return {number: poses[number - shift] for number in frames if number - shift in poses}, said
 
 
 def reference(times: Mapping[int, float], poses: Mapping[int, Matrix]) -> Trajectory | None:

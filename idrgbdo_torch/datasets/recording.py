@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from ..definitions.camera import Pinhole
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from ..trajectory import Trajectory
-from .builder import FrameBuilder, RawPair, depth_warnings
+from .builder import FrameBuilder, RawPair, depth_warnings, refuse_swapped_bytes
 from .calibration import Calibration
 from .prefetch import prefetch
 
@@ -64,7 +62,7 @@ class Recording:
     timestamps: Sequence[float]  # s, increasing, of all frames
     read: Callable[[int], RawPair]  # the images of a frame; raises IdRgbdoError for a broken one
     calibration: Calibration
-    depth_scale: float  # values per metre of uint16 depth, unless the user or the camera file says otherwise
+    depth_scale: float  # values per metre of depth in integers, unless the user or the camera file says otherwise
     groundtruth: Trajectory | None = None
     warnings: tuple[str, ...] = ()
     any_thread: bool = True  # `read` may be called in any thread, and in several at once
@@ -84,8 +82,9 @@ class RecordedSequence:
         self.timestamps = [recording.timestamps[index] for index in self._chosen]  # s, of the colour images
         self.groundtruth: Trajectory | None = recording.groundtruth
         color, depth = self._first_pair()
+        refuse_swapped_bytes(depth)
         stated = options.depth_scale or recording.calibration.depth_scale
-        self.depth_scale = stated or (recording.depth_scale if depth.dtype == np.uint16 else 1.0)
+        self.depth_scale = stated or (recording.depth_scale if depth.dtype.kind in "iu" else 1.0)
         self._builder = FrameBuilder(recording.calibration, color, self.depth_scale)
         self.camera: Pinhole = self._builder.camera
         self._builder.frame(0.0, color, depth)  # colour and depth must fit each other
@@ -118,7 +117,8 @@ class RecordedSequence:
     def _first_pair(self) -> RawPair:
         """The images of the first frame that can be read. Raises the first frame's error where none can."""
         first_error: IdRgbdoError | None = None
-        for index in self._chosen[:LOOK_AT]:
+        spread = self._chosen[LOOK_AT :: max(len(self._chosen) // LOOK_AT, 1)]  # the first minute may be missing
+        for index in (*self._chosen[:LOOK_AT], *spread):
             try:
                 return self._recording.read(index)
             except IdRgbdoError as error:

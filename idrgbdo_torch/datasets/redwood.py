@@ -6,9 +6,10 @@ import json
 from pathlib import Path
 
 from ..errors import IdRgbdoError
+from .by_name import pair_by_names
 from .calibration import Calibration, find_calibration
-from .pairing import FPS, numbered, pair_by_number, reader
-from .poses import log_poses, reference
+from .pairing import images, reader
+from .poses import by_frame, log_poses, reference
 from .recording import Options, Recording
 
 COLOR_FOLDERS = ("color", "rgb", "image")
@@ -23,29 +24,31 @@ def recognise(path: Path) -> bool:
 
 
 def read(folder: Path, options: Options) -> Recording:
-    """Pair the files by number. Raises IdRgbdoError where files are missing or cannot be read."""
+    """Pair the files by their names. Raises IdRgbdoError where files are missing or cannot be read."""
     color = next((folder / name for name in COLOR_FOLDERS if (folder / name).is_dir()), None)
     if color is None or not (folder / "depth").is_dir():
         raise IdRgbdoError(f"sequence: expected color/ and depth/ in '{folder}'; put the images there")
-    pairs, warnings = pair_by_number(numbered(color), numbered(folder / "depth"), folder)
     intrinsics = _intrinsics_file(folder)
     camera = read_intrinsics(intrinsics) if intrinsics else PRIMESENSE
     calibration = find_calibration(folder, options.camera, camera)
-    fps = calibration.fps or FPS
-    times = {number: number / fps for number in pairs}
+    of_color, of_depth = images(color), images(folder / "depth")
+    if not of_color or not of_depth:
+        raise IdRgbdoError(
+            f"sequence: expected images in '{color}' and '{folder / 'depth'}', found none in one of them"
+        )
+    paired = pair_by_names(of_color, of_depth, folder, calibration.fps, options.association_limit_s)
+    times = {number: time for number, (time, _, _) in zip(paired.numbers, paired.frames, strict=True)}
     log = folder / "trajectory.log"
-    poses = log_poses(log) if log.exists() else {}
-    if poses and min(poses) == 0:  # the log counts from 0 whatever the files' first number
-        poses = {number: poses[k] for k, number in enumerate(sorted(pairs)) if k in poses}
+    poses, guessed = by_frame(log_poses(log), paired.numbers, paired.all_numbers) if log.exists() else ({}, ())
     return Recording(
         name=folder.resolve().name,
-        title="Open3D/Redwood layout",
+        title=f"Open3D/Redwood layout, {paired.how}",
         timestamps=list(times.values()),
-        read=reader(list(pairs.values())),
+        read=reader([(a, b) for _, a, b in paired.frames]),
         calibration=calibration,
         depth_scale=DEPTH_SCALE,
         groundtruth=reference(times, poses),
-        warnings=warnings,
+        warnings=(*paired.warnings, *guessed),
     )
 
 

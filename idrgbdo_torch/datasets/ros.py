@@ -8,6 +8,7 @@ import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +17,9 @@ import numpy as np
 from ..errors import IdRgbdoError
 from .builder import RawPair
 from .calibration import Calibration, find_calibration
-from .pairing import pair_by_time
-from .recording import Options, Recording
-from .ros_images import color_image, depth_image
+from .pairing import pair_by_time, unpaired_warning
+from .recording import LOOK_AT, Options, Recording
+from .ros_images import DEPTH_HEADER, color_image, depth_image
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -53,15 +54,16 @@ def read(path: Path, options: Options) -> Recording:
     """
     bag = _Bag(path)
     color, depth = bag.topic("color", options.color_topic), bag.topic("depth", options.depth_topic)
-    frames = pair_by_time(bag.stamps(color), bag.stamps(depth), options.association_limit_s, path)
+    of_color, of_depth = bag.stamps(color), bag.stamps(depth)
+    frames = pair_by_time(of_color, of_depth, options.association_limit_s, path)
 
     def read_pair(index: int) -> RawPair:
-        _, of_color, of_depth = frames[index]
+        _, color_stamp, depth_stamp = frames[index]
         where = f"{path}, frame {index}"
         with _damage_named(where):
             return (
-                color_image(bag.message(color, of_color), f"{where}, {color.topic}"),
-                depth_image(bag.message(depth, of_depth), f"{where}, {depth.topic}"),
+                color_image(bag.message(color, color_stamp), f"{where}, {color.topic}"),
+                depth_image(bag.message(depth, depth_stamp), f"{where}, {depth.topic}"),
             )
 
     return Recording(
@@ -73,6 +75,7 @@ def read(path: Path, options: Options) -> Recording:
         calibration=bag.calibration(color.topic) if options.camera is None else find_calibration(path, options.camera),
         depth_scale=DEPTH_SCALE,
         warnings=(
+            *unpaired_warning(of_color, of_depth, len(frames), options.association_limit_s),
             *((f"{bag.damaged} damaged images are left out",) if bag.damaged else ()),
             *(bag.frame_warnings(color, frames[0][1], depth, frames[0][2]) if options.camera is None else ()),
         ),
@@ -99,6 +102,8 @@ class _Bag:
         else:
             found = [c for c in images if not NO_COLOR.search(c.topic)]
             found.sort(key=lambda c: (not COLORFUL.search(c.topic), c.msgtype != IMAGE_TYPES[0], len(c.topic)))
+        if name is None:
+            found = self._with_images(found)
         if not found:
             wanted = f"the topic '{name}'" if name else f"a {kind} topic"
             there = ", ".join(sorted({c.topic for c in images})) or "none"
@@ -106,6 +111,29 @@ class _Bag:
                 f"{self._path}: expected {wanted} with images, found these: {there}; name one with --{kind}-topic"
             )
         return found[0]
+
+    def _with_images(self, found: list[Connection]) -> list[Connection]:
+        """The topics without those that hold no message, or only empty ones (a plugin that could not compress).
+
+        Raises IdRgbdoError where none is left.
+        """
+        good = [c for c in found if c.msgcount and self._has_data(c)]
+        if found and not good:
+            empty = ", ".join(c.topic for c in found)
+            raise IdRgbdoError(
+                f"{self._path}: expected images, but the messages of {empty} are empty; record another topic"
+            )
+        return good
+
+    def _has_data(self, connection: Connection) -> bool:
+        """Whether one of the first messages is more than a header; damage is for later to tell."""
+        for _, data in islice(self._messages(connection), LOOK_AT):
+            try:
+                if len(self._decode(data, connection).data) > DEPTH_HEADER.size:
+                    return True
+            except IdRgbdoError:
+                return True
+        return False
 
     def stamps(self, connection: Connection) -> list[tuple[float, Stamp]]:
         """The images of a topic by the time of their headers, or by that of their recording where headers have none.

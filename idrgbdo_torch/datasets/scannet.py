@@ -21,6 +21,7 @@ from .poses import matrices, pose_files, reference
 from .recording import LOOK_AT, Options, Recording
 
 DEPTH_SCALE = 1000.0
+NUMBER = r"^\D*(\d+)\.\w+$"
 
 
 def recognise(path: Path) -> bool:
@@ -33,7 +34,7 @@ def read(folder: Path, options: Options) -> Recording:
     for name in ("color", "depth"):
         if not (folder / name).is_dir():
             raise IdRgbdoError(f"sequence: expected {name}/ in '{folder}', found none; extract the scan again")
-    pairs, warnings = pair_by_number(numbered(folder / "color"), numbered(folder / "depth"), folder)
+    pairs, warnings = pair_by_number(numbered(folder / "color", NUMBER), numbered(folder / "depth", NUMBER), folder)
     files = list(pairs.values())
     K_color = _intrinsics(folder / "intrinsic" / "intrinsic_color.txt")
     depth_file = folder / "intrinsic" / "intrinsic_depth.txt"

@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import IdRgbdoError
 from ..trajectory import read_tum
 from .calibration import find_calibration
-from .pairing import pair_by_time, reader
+from .lists import read_list, read_pairs
+from .pairing import missing_files, pair_by_time, reader, unpaired_warning
 from .recording import Options, Recording
 
 DEPTH_SCALE = 5000.0  # depth values per metre, TUM's
 
-Entry = tuple[float, Path]  # s, image file
+
+@dataclass(frozen=True)
+class Listed:
+    """The frames that lists tell."""
+
+    frames: list[tuple[float, Path, Path]]  # s, colour, depth
+    unit: str  # of the times as they are written
+    warnings: tuple[str, ...]
+
+    @property
+    def said(self) -> str:
+        """The unit, where it is not the usual one, as the end of a title."""
+        return "" if self.unit == "seconds" else f", times in {self.unit}"
 
 
 def recognise(path: Path) -> bool:
@@ -22,32 +36,37 @@ def recognise(path: Path) -> bool:
 
 def read(folder: Path, options: Options) -> Recording:
     """Find the pairs, the camera and the reference. Raises IdRgbdoError for a folder that is not such a sequence."""
-    listed = options.associations
-    if listed is None and not (folder / "rgb.txt").exists() and (folder / "associations.txt").exists():
-        listed = folder / "associations.txt"
-    frames = read_associations(listed) if listed else _find_pairs(folder, options.association_limit_s)
+    associations = options.associations
+    if associations is None and not (folder / "rgb.txt").exists() and (folder / "associations.txt").exists():
+        associations = folder / "associations.txt"
+    listed = read_associations(associations) if associations else _find_pairs(folder, options.association_limit_s)
     truth = folder / "groundtruth.txt"
     return Recording(
         name=folder.resolve().name,
-        title="TUM RGB-D layout",
-        timestamps=[time for time, _, _ in frames],
-        read=reader([(color, depth) for _, color, depth in frames]),
+        title=f"TUM RGB-D layout{listed.said}",
+        timestamps=[time for time, _, _ in listed.frames],
+        read=reader([(color, depth) for _, color, depth in listed.frames]),
         calibration=find_calibration(folder, options.camera),
         depth_scale=DEPTH_SCALE,
         groundtruth=read_tum(truth) if truth.exists() else None,
+        warnings=(*listed.warnings, *missing_files([(color, depth) for _, color, depth in listed.frames])),
     )
 
 
-def read_associations(path: Path) -> list[tuple[float, Path, Path]]:
+def read_associations(path: Path) -> Listed:
     """The lines `timestamp file timestamp file` (files beside the list), colour first or, as some write it, depth."""
-    pairs = [(_entry(path, n, fields[:2]), _entry(path, n, fields[2:])) for n, fields in _lines(path, 4)]
-    if all(first.parent.name == "depth" and second.parent.name != "depth" for (_, first), (_, second) in pairs):
-        pairs = [(color, depth) for depth, color in pairs]
-    by_time = {time: (time, color, depth) for (time, color), (_, depth) in pairs}
-    return [by_time[time] for time in sorted(by_time)]
+    color, depth = read_pairs(path)
+    folders = [(a.parent.name, b.parent.name) for (_, a), (_, b) in zip(color.entries, depth.entries, strict=True)]
+    if all(a == "depth" and b != "depth" for a, b in folders):
+        color, depth = depth, color
+    partner: dict[float, Path] = {}
+    for (time, _), (_, file) in zip(color.entries, depth.entries, strict=True):
+        partner.setdefault(time, file)
+    entries, warnings = color.by_time()
+    return Listed([(time, file, partner[time]) for time, file in entries], color.unit, warnings)
 
 
-def _find_pairs(folder: Path, limit_s: float) -> list[tuple[float, Path, Path]]:
+def _find_pairs(folder: Path, limit_s: float) -> Listed:
     """Colour and depth of each frame, paired by time from rgb.txt and depth.txt."""
     color_list, depth_list = folder / "rgb.txt", folder / "depth.txt"
     for path in (color_list, depth_list):
@@ -56,39 +75,8 @@ def _find_pairs(folder: Path, limit_s: float) -> list[tuple[float, Path, Path]]:
                 f"sequence: expected the TUM layout, but '{folder}' has no {path.name}; write it, lines "
                 "`timestamp file`, or remove the other list to have the images paired by their names"
             )
-    return pair_by_time(_read_list(color_list), _read_list(depth_list), limit_s, folder)
-
-
-def _read_list(path: Path) -> list[Entry]:
-    """The lines `timestamp file`, by time."""
-    entries = [_entry(path, number, fields) for number, fields in _lines(path, 2)]
-    return sorted(dict(entries).items())
-
-
-def _lines(path: Path, columns: int) -> list[tuple[int, list[str]]]:
-    """Line numbers and fields of a list file without comments. Raises IdRgbdoError for other columns, or no line."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise IdRgbdoError(f"sequence: cannot read '{path}': {error}; expected a text file") from error
-    split = [(number, line.split()) for number, line in enumerate(text.splitlines(), start=1)]
-    lines = [(number, fields) for number, fields in split if fields and not fields[0].startswith("#")]
-    for number, fields in lines:
-        if len(fields) != columns:
-            expected = " ".join(["timestamp file"] * (columns // 2))
-            raise IdRgbdoError(
-                f"{path}, line {number}: expected `{expected}`, got {len(fields)} fields; correct the line"
-            )
-    if not lines:
-        raise IdRgbdoError(f"sequence: '{path}' lists no image; expected lines `timestamp file`")
-    return lines
-
-
-def _entry(path: Path, number: int, fields: list[str]) -> Entry:
-    try:
-        time = float(fields[0])
-    except ValueError as error:
-        raise IdRgbdoError(
-            f"{path}, line {number}: expected a timestamp, got '{fields[0]}'; correct the line"
-        ) from error
-    return time, path.parent / fields[1]
+    lists = read_list(color_list), read_list(depth_list)
+    (color, of_color), (depth, of_depth) = (listed.by_time() for listed in lists)
+    frames = pair_by_time(color, depth, limit_s, folder)
+    unpaired = unpaired_warning(color, depth, len(frames), limit_s)
+    return Listed(frames, lists[0].unit, (*of_color, *of_depth, *unpaired))

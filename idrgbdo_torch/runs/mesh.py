@@ -20,6 +20,7 @@ BLOCK = 8  # voxels along the side of a block
 TRUNCATION = 5.0  # voxels: the signed distance is kept this far from the surface
 COARSER = 1.5  # times the voxel, when the blocks run out
 SAME_TIME_S = 5e-3  # between a frame and its pose
+LEAST_POSES = 0.1  # of the frames, or of the poses where they are fewer; less is chance, or another clock
 
 
 class Frames(Protocol):
@@ -101,9 +102,12 @@ def _poses(frames: Frames, trajectory: Trajectory) -> list[tuple[int, torch.Tens
     times = torch.tensor(frames.timestamps, dtype=torch.float64)
     index = nearest(trajectory.timestamps, times)
     near = (trajectory.timestamps[index] - times).abs() <= SAME_TIME_S
-    if not near.any():
+    found, frames_or_poses = int(near.sum()), min(len(times), len(trajectory))
+    if found < max(LEAST_POSES * frames_or_poses, min(2, len(times))):
+        clocks = [f"{float(t[0]):.6f} to {float(t[-1]):.6f} s" for t in (times, trajectory.timestamps)]
         raise IdRgbdoError(
-            "trajectory: expected poses at the times of the frames, got none that is within 5 ms of one; "
+            f"trajectory: expected poses at the times of the frames, got {found or 'none'} that is within 5 ms of one, "
+            f"for {len(times)} frames ({clocks[0]}) and {len(trajectory)} poses ({clocks[1]}); "
             "pass the trajectory of this recording"
         )
     return [(n, inverse(trajectory.T_world_cam[index[n]])) for n in torch.nonzero(near)[:, 0].tolist()]

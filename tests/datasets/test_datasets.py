@@ -245,7 +245,7 @@ def test_colour_and_depth_of_different_sizes(make_recording: Make) -> None:
 def test_colour_in_place_of_depth(make_recording: Make) -> None:
     folder = make_recording()
     for path in images(folder, "depth"):
-        cv2.imwrite(str(path), np.ones((48, 64, 3), np.uint8))
+        cv2.imwrite(str(path), np.arange(48 * 64 * 3, dtype=np.uint32).reshape(48, 64, 3).astype(np.uint8))
     with pytest.raises(IdRgbdoError, match="expected a 16-bit depth image of one channel, got uint8 with 3"):
         open_sequence(folder)
 

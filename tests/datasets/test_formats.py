@@ -306,7 +306,7 @@ def test_images_without_partner_are_left_out_with_a_warning(tmp_path: Path) -> N
     (folder / "depth" / "1.png").unlink()
     sequence = open_sequence(folder)
     assert sequence.timestamps == [0, 2 / 30]
-    assert sequence.warnings == ["1 images have no partner of the same number and are left out"]
+    assert sequence.warnings == ["1 image has no partner of the same number and is left out: rgb/1.png"]
 
 
 def test_an_own_folder_without_camera_says_what_to_write(tmp_path: Path) -> None:

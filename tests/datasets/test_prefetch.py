@@ -83,7 +83,7 @@ import signal
 import time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever runs the tests may have it ignored
 from itertools import count
-from idrgbdo_torch.prefetch import prefetch
+from idrgbdo_torch.datasets.prefetch import prefetch
 items = prefetch(lambda number: time.sleep(0.01) or number, count(), threads=2)
 for number in items:
     print(number, flush=True)

@@ -15,7 +15,9 @@ import torch
 from bag_writer import START, Messages, write_bag
 from numpy.testing import assert_array_equal
 from rendered import Film
+from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
 
 from idrgbdo_torch import IdRgbdo, Pinhole
 from idrgbdo_torch.datasets import RgbdSequence, guess, open_sequence
@@ -272,3 +274,63 @@ def test_quantised_inverse_depth_is_depth_again() -> None:
     decoded = depth_image(message, "")
     assert decoded[0, 0] == 0
     np.testing.assert_allclose(decoded.ravel()[1:], depth.ravel()[1:], rtol=1e-3)
+
+
+def with_empty_topics(film: Film, path: Path, version: int, empty: dict[str, tuple[str, int]]) -> Path:
+    """A good compressed recording, and topics (name: encoding, messages) whose messages hold nothing."""
+    messages = Messages(version)
+    color, depth = (f"/camera/{name}/image_raw" for name in ("color", "aligned_depth_to_color"))
+    writer = Writer1(path) if version == 1 else Writer2(path, version=9, storage_plugin=StoragePlugin.MCAP)
+    with writer:
+        connections = {}
+        for topic, (encoding, count) in empty.items():
+            kind = bag_writer.COMPRESSED if "ompressed" in topic else bag_writer.IMAGE
+            connections[topic] = writer.add_connection(topic, kind, typestore=messages.store)
+            for k in range(count):
+                stamp = START * 10**9 + k * 33_333_333
+                message = messages.compressed(stamp, b"", encoding)
+                writer.write(connections[topic], stamp, messages.bytes(*message))
+        for frame in film.frames:
+            stamp = START * 10**9 + round(frame.timestamp * 1e6) * 1000
+            assert frame.color is not None
+            for topic, (kind, message) in (
+                ("/camera/color/camera_info", messages.info(stamp, film)),
+                (f"{color}/compressed", bag_writer.png(messages, stamp, frame.color.numpy())),
+                (f"{depth}/compressedDepth", bag_writer.compressed_depth(messages, stamp, frame.depth.numpy())),
+            ):
+                if topic not in empty:
+                    if topic not in connections:
+                        connections[topic] = writer.add_connection(topic, kind, typestore=messages.store)
+                    writer.write(connections[topic], stamp, messages.bytes(kind, message))
+    return path
+
+
+COLOR_TOPIC, DEPTH_TOPIC = "/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw"
+
+
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize(
+    "empty",
+    [
+        {DEPTH_TOPIC: ("16UC1", 0)},
+        {DEPTH_TOPIC + "/compressed": ("16UC1; jpeg compressed mono8", 6)},
+        {COLOR_TOPIC: ("rgb8", 0)},
+        {COLOR_TOPIC: ("rgb8", 0), DEPTH_TOPIC: ("16UC1", 0), DEPTH_TOPIC + "/compressed": ("16UC1; jpeg", 6)},
+    ],
+)
+def test_topics_that_hold_nothing_are_not_chosen(
+    film: Film, tmp_path: Path, version: int, empty: dict[str, tuple[str, int]]
+) -> None:
+    short = Film(film.frames[:6], film.groundtruth)
+    sequence = open_sequence(
+        with_empty_topics(short, tmp_path / ("film.bag" if version == 1 else "film"), version, empty)
+    )
+    assert f"{COLOR_TOPIC}/compressed and {DEPTH_TOPIC}/compressedDepth: 6 frames" in sequence.recognised
+    assert all(isinstance(frame, RgbdFrame) for frame in sequence)
+
+
+def test_nothing_but_empty_messages_is_said(film: Film, tmp_path: Path) -> None:
+    short = Film(film.frames[:6], film.groundtruth)
+    empty = {DEPTH_TOPIC: ("16UC1", 0), DEPTH_TOPIC + "/compressedDepth": ("16UC1; compressedDepth png", 6)}
+    with pytest.raises(IdRgbdoError, match=rf"the messages of {DEPTH_TOPIC}, {DEPTH_TOPIC}/compressedDepth are empty"):
+        open_sequence(with_empty_topics(short, tmp_path / "a", 2, empty))

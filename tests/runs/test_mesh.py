@@ -97,11 +97,27 @@ def test_without_colour_it_is_gray(desk: Film) -> None:
     np.testing.assert_allclose(colors[:, 0], colors[:, 2], atol=1e-6)
 
 
+def test_a_pose_for_every_tenth_frame_or_for_some_in_a_row_will_do(desk: Film) -> None:
+    every_tenth = desk.groundtruth.at(torch.arange(0, 40, 10))
+    assert fuse(Recording(list(desk.frames)), every_tenth, MeshConfig(voxel_m=0.04)).frames == 4
+    assert fuse(Recording(list(desk.frames[20:24])), desk.groundtruth, MeshConfig(voxel_m=0.04)).frames == 4
+    assert fuse(Recording(list(desk.frames[:1])), desk.groundtruth, MeshConfig(voxel_m=0.04)).frames == 1
+
+
 def test_another_recordings_poses_and_an_empty_mesh_are_errors(desk: Film) -> None:
     frames = Recording(list(desk.frames[:3]))
     later = Trajectory(desk.groundtruth.timestamps + 100.0, desk.groundtruth.T_world_cam)
     with pytest.raises(IdRgbdoError, match="trajectory: expected poses at the times of the frames"):
         fuse(frames, later)
+    with pytest.raises(
+        IdRgbdoError, match=r"got 1 that is within 5 ms of one, for 40 frames \(0.* and 40 poses \(1\.29"
+    ):
+        fuse(  # the clocks differ, and the last frame meets the first pose by chance
+            Recording(list(desk.frames)),
+            Trajectory(desk.groundtruth.timestamps + (desk.frames[-1].timestamp - 0.002), desk.groundtruth.T_world_cam),
+        )
+    with pytest.raises(IdRgbdoError, match="got 1 that is within 5 ms of one, for 3 frames"):
+        fuse(frames, desk.groundtruth.at(torch.tensor([0])))
     with pytest.raises(IdRgbdoError, match="mesh: no surface"):
         fuse(frames, desk.groundtruth, MeshConfig(depth_max_m=0.1))
     with pytest.raises(IdRgbdoError, match="voxel_m: expected a positive number"):
