@@ -13,6 +13,7 @@ from ..frame import Keyframe
 from ..kernels.se3 import inverse
 from ..trajectory import Trajectory
 from .mapping import NOTHING, Cloud, condense, keyframe_cloud, world_cloud
+from .smoothing import Departure, between, smooth_keyframes
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,11 @@ class History:
     references: list[int] = field(default_factory=list)  # number of the keyframe of every frame, -1 before the first
     T_cam_kf: list[Array] = field(default_factory=list)  # (4, 4) of every frame against it
     keyframe_times: list[float] = field(default_factory=list)
-    keyframe_poses: list[Array] = field(default_factory=list)  # (4, 4) T_kf_world
+    keyframe_poses: list[Array] = field(default_factory=list)  # (4, 4) T_kf_world, as it stood in the window at last
+    tracked: list[Array | None] = field(default_factory=list)  # T_kf_previous as tracked; None where a segment starts
+    departures: list[tuple[int, tuple[int, ...], Departure]] = field(
+        default_factory=list
+    )  # who stayed, and how it left
     in_window: list[int] = field(default_factory=list)  # numbers of the keyframes that still move, oldest first
     clouds: list[Cloud] = field(default_factory=list)  # map points of every keyframe that has left the window
     segment: int = 0  # grows by one when a lost track starts anew
@@ -36,9 +41,12 @@ class History:
         self.references.append(len(self.keyframe_poses) - 1)
         self.T_cam_kf.append(T_cam_kf)
 
-    def add_keyframe(self, timestamp: float, T_kf_world: Array, cloud: Cloud = NOTHING) -> None:
-        """A keyframe; its cloud where no window will refine it."""
+    def add_keyframe(
+        self, timestamp: float, T_kf_world: Array, T_kf_previous: Array | None, cloud: Cloud = NOTHING
+    ) -> None:
+        """A keyframe as tracked against the one before, None where it was not; its cloud where no window refines it."""
         self.keyframe_times.append(timestamp)
+        self.tracked.append(T_kf_previous)
         self.keyframe_poses.append(T_kf_world)
         self.clouds.append(cloud)
 
@@ -47,27 +55,39 @@ class History:
         for number, pose in zip(self.in_window, poses, strict=True):
             self.keyframe_poses[number] = pose
 
-    def leave(self, place: int, keyframe: Keyframe) -> None:
-        """The keyframe at this place of the window is refined no more."""
-        self.clouds[self.in_window.pop(place)] = keyframe_cloud(keyframe)
+    def leave(self, place: int, keyframe: Keyframe, departure: Departure | None = None) -> None:
+        """The keyframe at this place of the window is refined no more, but may follow those that stay."""
+        number = self.in_window.pop(place)
+        self.clouds[number] = keyframe_cloud(keyframe)
+        if departure is not None:
+            self.departures.append((number, tuple(self.in_window), departure))
 
     def condense(self) -> None:
         """Keep the map within its bounds."""
         self.clouds = condense(self.clouds, self.keyframe_poses, self.in_window)
 
     def trajectory(self) -> Trajectory:
-        """Every frame's pose, hung on its keyframe as it stands now."""
-        start = np.eye(4) if not self.keyframe_poses else self.keyframe_poses[0]
-        poses = [
-            inverse(T @ (self.keyframe_poses[r] if r >= 0 else start))
-            for T, r in zip(self.T_cam_kf, self.references, strict=True)
-        ]
+        """Every frame's pose by all that is known now: keyframes follow each other, and frames their keyframes."""
+        keyframes = smooth_keyframes(self.keyframe_poses, self.departures)
+        poses = [inverse(self._frame_pose(number, keyframes)) for number in range(len(self.times))]
         stacked = np.array(poses).reshape(-1, 4, 4)
         return Trajectory(torch.tensor(self.times, dtype=torch.float64), torch.from_numpy(stacked))
+
+    def _frame_pose(self, number: int, keyframes: list[Array]) -> Array:
+        """T_cam_world of a frame, given those of all keyframes."""
+        T_cam_kf, kf = self.T_cam_kf[number], self.references[number]
+        if kf < 0:
+            return T_cam_kf @ (keyframes[0] if keyframes else np.eye(4))
+        T_next_kf = self.tracked[kf + 1] if kf + 1 < len(keyframes) else None
+        if T_next_kf is None:
+            return T_cam_kf @ keyframes[kf]
+        gone, gap = self.times[number] - self.keyframe_times[kf], self.keyframe_times[kf + 1] - self.keyframe_times[kf]
+        share = min(max(gone / gap, 0.0), 1.0) if gap > 0.0 else 1.0
+        return between(T_cam_kf, keyframes[kf], T_next_kf, keyframes[kf + 1], share)
 
     def map(self, window: Sequence[Keyframe]) -> Cloud:
         """The candidate points of all keyframes in the world, given those that are still in the window."""
         clouds = list(self.clouds)
         for number, keyframe in zip(self.in_window, window, strict=True):
             clouds[number] = keyframe_cloud(keyframe)
-        return world_cloud(clouds, self.keyframe_poses)
+        return world_cloud(clouds, smooth_keyframes(self.keyframe_poses, self.departures))

@@ -110,14 +110,17 @@ class IdRgbdo:
         keyframe = make_keyframe(frame, self.config, self.rng, self.backend)
         if len(keyframe.points.uv) < FEWEST_CANDIDATES:
             return False
-        self._adopt(keyframe)
+        self._adopt(keyframe, self.history.T_cam_kf[-1])
         return True
 
-    def _adopt(self, keyframe: Keyframe) -> None:
-        """Choose a keyframe's points, add it to the window and to history, and track against it from now on."""
+    def _adopt(self, keyframe: Keyframe, T_kf_previous: Array | None = None) -> None:
+        """Choose a keyframe's points, add it to the window and to history, and track against it from now on.
+
+        T_kf_previous: its pose as tracked against the keyframe before, None where it was not.
+        """
         windowed = self.config.window.enabled
         cloud = NOTHING if windowed else keyframe_cloud(keyframe)
-        self.history.add_keyframe(keyframe.frame.timestamp, self.motion.T_cam_world, cloud)
+        self.history.add_keyframe(keyframe.frame.timestamp, self.motion.T_cam_world, T_kf_previous, cloud)
         prior = motion_information(self.config, KEYFRAME_GAP)
         few, many = self.config.selection.points, self.config.window_points
         index = self._select(keyframe, np.eye(4), few, prior, self.noise)
@@ -134,8 +137,8 @@ class IdRgbdo:
         self.history.in_window.append(len(self.history.keyframe_poses) - 1)
         self.window.optimise()
         self.history.refine(self.window.members.T)
-        for place, old in self.window.shrink():
-            self.history.leave(place, old)
+        for place, old, departure in self.window.shrink():
+            self.history.leave(place, old, departure)
         self.motion.correct(self.window.members.T[-1])
         return self.window.members.keyframes[-1]
 
@@ -196,7 +199,7 @@ class IdRgbdo:
         return TrackResult(T_world_cam=pose, status=status, reason=reason, segment=self.history.segment)
 
     def trajectory(self) -> Trajectory:
-        """Every frame's pose, hung on its keyframe as the window has refined it."""
+        """Every frame's pose by all that is known now, the frames after it included."""
         return self.history.trajectory()
 
     def map(self) -> Cloud:

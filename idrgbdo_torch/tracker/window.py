@@ -16,6 +16,7 @@ from ..kernels.solver import solve_spd
 from ..measurement import STEP, Noise, Views, WindowPoints, WindowSystem
 from .backends import Backend
 from .members import Members
+from .smoothing import Departure, departure
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -129,16 +130,23 @@ class Window:
         self.system = system
         return iteration
 
-    def shrink(self) -> list[tuple[int, Keyframe]]:
-        """Marginalise keyframes until at most window.keyframes are left; returns them, with their places at removal."""
+    def shrink(self) -> list[tuple[int, Keyframe, Departure]]:
+        """Marginalise keyframes until at most window.keyframes are left; returns their places at removal, and how."""
         removed = []
         while len(self.members.keyframes) > self.config.window.keyframes:
-            k = self.least_useful()
-            removed.append((k, self.members.keyframes[k]))
+            information = self.pose_information()
+            k = self.least_useful(information)
+            removed.append((k, self.members.keyframes[k], departure(self.members.T, information, k)))
             self.marginalise(k)
         return removed
 
-    def least_useful(self) -> int:
+    def pose_information(self) -> Array:
+        """(6K, 6K) of the poses as the last optimisation ended, with the prior; depths and brightness are marginal."""
+        H, b = self.backend.eliminate_depths(self.system)
+        H += self.prior.H.numpy()
+        return self.backend.marginalize(H, b, np.arange(len(b)) % STEP >= 6).H.numpy()
+
+    def least_useful(self, information: Array) -> int:
         """The keyframe to remove: one that the newest hardly sees, else the most redundant by Eq. 26."""
         members = self.members
         K = len(members.keyframes)
@@ -148,10 +156,7 @@ class Window:
                 return k
         if self.config.window.removal == "oldest":
             return 0
-        H, b = self.backend.eliminate_depths(self.system)
-        H += self.prior.H.numpy()
-        poses = self.backend.marginalize(H, b, np.arange(STEP * K) % STEP >= 6).H
-        psi = self.backend.redundancy(poses.numpy())
+        psi = self.backend.redundancy(information)
         return int(psi[: K - PROTECTED].argmax())
 
     def marginalise(self, k: int) -> None:

@@ -44,7 +44,7 @@ def test_the_window_keeps_its_size_and_its_newest(keyed: Desk) -> None:
 def test_removal_takes_the_most_redundant_or_the_oldest(keyed: Desk) -> None:
     window = keyed.window(6)
     window.optimise()
-    k = window.least_useful()
+    k = window.least_useful(window.pose_information())
     H, _ = FUSED.eliminate_depths(window.system)
     H += window.prior.H.numpy()
     brightness = np.arange(len(H)) % STEP >= 6
@@ -53,17 +53,17 @@ def test_removal_takes_the_most_redundant_or_the_oldest(keyed: Desk) -> None:
     assert k == int(psi[: 6 - PROTECTED].argmax())
     oldest = keyed.window(6, config=replace(CONFIG, window=WindowConfig(keyframes=5, removal="oldest")))
     oldest.optimise()
-    assert oldest.least_useful() == 0
+    assert oldest.least_useful(oldest.pose_information()) == 0
 
 
 def test_a_keyframe_out_of_sight_goes_first(keyed: Desk) -> None:
     window = keyed.window(6)
     window.optimise()
     window.system.rms[2, :, -1] = -1.0  # none of its points is seen by the newest
-    assert window.least_useful() == 2
+    assert window.least_useful(window.pose_information()) == 2
     window.system.rms[4, :, -1] = -1.0  # protected
     window.system.rms[2, :, -1] = 1.0
-    assert window.least_useful() < 4
+    assert window.least_useful(window.pose_information()) < 4
 
 
 @pytest.mark.parametrize("k", [0, 2])
