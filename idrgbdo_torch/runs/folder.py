@@ -91,7 +91,9 @@ class RunFolder:
                 write_tum(self.path / "keyframes.part", refined.at(_indices(refined, times)))
                 (self.path / "keyframes.part").replace(self.path / "keyframes.txt")
         if with_map and isinstance(odometry, Inspectable):
-            write_ply(self.path / "map.ply", odometry.map())
+            for segment, cloud in odometry.maps().items():
+                name = f"map_segment_{segment}.ply" if segment else "map.ply"
+                write_ply(self.path / name, cloud)
         summary = summarise(run, evaluation)
         (self.path / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
         return summary

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..measurement import LEVELS, State, Subset
+from .features import start_from_features
 from .keyframe import all_patches
 from .tracking import Pair, Tracked, track_frame
 from .verification import LIMITS, Verdict, verify
@@ -21,6 +22,10 @@ QUICK_POINTS = 128  # coarse points that it takes; with fewer the whole patches 
 QUICK_STRIDE = 2  # of the coarse points, every second one
 QUICK_PIXELS = 1  # of a coarse point's patch, likewise
 EXPECTED_PX = 2.0  # mean distance in the image between the predicted and the measured pose of such a frame
+NOTHING = (
+    Tracked(np.eye(4), np.zeros(2), np.zeros((6, 6)), 0, 0, np.zeros(0, np.int64), np.zeros(0)),
+    Verdict(0.0, 0.0, 0.0),
+)
 FREE = np.diag([1e-2] * 6)  # information of a prior that holds nothing
 
 
@@ -47,6 +52,10 @@ def align(
         again, second = recover(pair, [start.T, resting], start.affine, index)
         if second.score > verdict.score:
             tracked, verdict = again, second
+    if verdict.doubt(LIMITS.weak):
+        again, second = recover_by_features(pair, start.affine, index)
+        if second.score > verdict.score:
+            tracked, verdict = again, second
     return tracked, verdict, displacement(pair, start.T, tracked.T_frame_kf)
 
 
@@ -56,15 +65,21 @@ def displacement(pair: Pair, T_a: Array, T_b: Array) -> float:
     return pair.backend.displacement(keyframe.frame.intrinsics[0], keyframe.points, keyframe.coarse, T_a, T_b)
 
 
+def recover_by_features(pair: Pair, affine: Array, index: Index) -> tuple[Tracked, Verdict]:
+    """recover() from where the features of frame and keyframe say: for views far apart, where no prediction holds."""
+    guess = start_from_features(pair.frame, pair.keyframe.frame)
+    return recover(pair, [] if guess is None else [guess], affine, index)
+
+
 def recover(pair: Pair, guesses: Sequence[Array], affine: Array, index: Index) -> tuple[Tracked, Verdict]:
     """Try again from each guess of T_frame_kf with all candidates and the widest pyramid, no prior; the best one.
 
-    The finest level keeps the chosen points `index`. There is at least one guess.
+    The finest level keeps the chosen points `index`. Without a guess nothing is found.
     """
     pair = replace(pair, keyframe=all_patches(pair.keyframe, pair.backend))
     points = pair.keyframe.points
     everyone = Subset(np.arange(len(points.uv)), points.patch.shape[2])
-    tried = []
+    tried = [NOTHING]
     for guess in guesses:
         tracked = track_frame(pair, State(guess, affine), index, everyone, FREE, LEVELS)
         tried.append((tracked, verify(pair, tracked)))

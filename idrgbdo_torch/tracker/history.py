@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from ..frame import Keyframe
 from ..kernels.se3 import inverse
 from ..trajectory import Trajectory
+from .backends import Backend
 from .mapping import NOTHING, Cloud, condense, keyframe_cloud, world_cloud
+from .places import APART, Places
 from .smoothing import Departure, between, smooth_keyframes
 
 Array = NDArray[np.float64]
@@ -33,7 +35,9 @@ class History:
     )  # who stayed, and how it left
     in_window: list[int] = field(default_factory=list)  # numbers of the keyframes that still move, oldest first
     clouds: list[Cloud] = field(default_factory=list)  # map points of every keyframe that has left the window
-    segment: int = 0  # grows by one when a lost track starts anew
+    segment: int = 0  # in which the camera is; a new one begins where a lost track starts anew
+    segments: list[int] = field(default_factory=list)  # of every keyframe, until it joins an earlier one
+    places: Places = field(default_factory=Places)  # where a lost frame may be found again
 
     def add_frame(self, timestamp: float, T_cam_kf: Array) -> None:
         """A frame at a pose against the newest keyframe."""
@@ -49,6 +53,22 @@ class History:
         self.tracked.append(T_kf_previous)
         self.keyframe_poses.append(T_kf_world)
         self.clouds.append(cloud)
+        self.segments.append(self.segment)
+
+    def new_segment(self) -> int:
+        """The number of a segment that there was not yet."""
+        return max(self.segments, default=-1) + 1
+
+    def remember(self, keyframe: Keyframe, backend: Backend) -> None:
+        """Keep the newest keyframe as a place to be found again, unless the last place sees the same."""
+        number, kept = len(self.keyframe_poses) - 1, self.places.kept
+        if kept and self.segments[kept[-1].number] == self.segment:
+            place = kept[-1]
+            T = self.keyframe_poses[number] @ inverse(self.keyframe_poses[place.number])
+            camera, points, coarse = place.keyframe.frame.intrinsics[0], place.keyframe.points, place.keyframe.coarse
+            if backend.displacement(camera, points, coarse, np.eye(4), T) < APART * keyframe.frame.camera.width:
+                return
+        self.places.add(number, keyframe)
 
     def refine(self, poses: Array) -> None:
         """The window's keyframes have new poses (K, 4, 4)."""
@@ -64,7 +84,20 @@ class History:
 
     def condense(self) -> None:
         """Keep the map within its bounds."""
-        self.clouds = condense(self.clouds, self.keyframe_poses, self.in_window)
+        moving = {*self.in_window, *(n for n, segment in enumerate(self.segments) if segment != 0)}
+        self.clouds = condense(self.clouds, self.keyframe_poses, moving)
+
+    def join(self, segment: int, T_segment_world: Array) -> None:
+        """The present segment's world lies at this pose (4, 4) in that of an earlier one: it becomes part of it."""
+        mine = {number for number, its in enumerate(self.segments) if its == self.segment}
+        for number in mine:
+            self.keyframe_poses[number] = self.keyframe_poses[number] @ T_segment_world
+            self.segments[number] = segment
+        for k, (number, others, left) in enumerate(self.departures):
+            if number in mine:
+                moved = left._replace(T=left.T @ T_segment_world, T_others=left.T_others @ T_segment_world)
+                self.departures[k] = (number, others, moved)
+        self.segment = segment
 
     def trajectory(self) -> Trajectory:
         """Every frame's pose by all that is known now: keyframes follow each other, and frames their keyframes."""
@@ -85,9 +118,11 @@ class History:
         share = min(max(gone / gap, 0.0), 1.0) if gap > 0.0 else 1.0
         return between(T_cam_kf, keyframes[kf], T_next_kf, keyframes[kf + 1], share)
 
-    def map(self, window: Sequence[Keyframe]) -> Cloud:
-        """The candidate points of all keyframes in the world, given those that are still in the window."""
+    def maps(self, window: Sequence[Keyframe]) -> dict[int, Cloud]:
+        """By segment, the candidate points of its keyframes in the world, given those that are still in the window."""
         clouds = list(self.clouds)
         for number, keyframe in zip(self.in_window, window, strict=True):
             clouds[number] = keyframe_cloud(keyframe)
-        return world_cloud(clouds, smooth_keyframes(self.keyframe_poses, self.departures))
+        poses = smooth_keyframes(self.keyframe_poses, self.departures)
+        own = {segment: [n for n, its in enumerate(self.segments) if its == segment] for segment in set(self.segments)}
+        return {s: world_cloud([clouds[n] for n in ns], [poses[n] for n in ns]) for s, ns in sorted(own.items())}

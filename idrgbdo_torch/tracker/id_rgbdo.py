@@ -20,12 +20,13 @@ from .alignment import align, displacement
 from .backends import backend_named
 from .history import History
 from .keyframe import make_keyframe, wants_keyframe
-from .mapping import NOTHING, Cloud, keyframe_cloud
+from .mapping import NOTHING, Cloud, keyframe_cloud, together
 from .motion import Motion, turn_rate
+from .recovery import find_in_places, find_in_window
 from .reference import Reference
 from .selection import point_bits, select_points
 from .tracking import Pair, Tracked, motion_information
-from .verification import LIMITS, unsure
+from .verification import LIMITS, Verdict, unsure
 from .warmup import warm_up
 from .window import Window
 
@@ -64,34 +65,55 @@ class IdRgbdo:
 
     def track(self, rgbd: RgbdFrame) -> TrackResult:
         """The pose of the next frame (sections 4 and 5)."""
-        frame, motion, reference = prepare(rgbd), self.motion, self.reference
-        if reference is None:
+        frame = prepare(rgbd)
+        if self.reference is None:
             return self._start_segment(frame, "too few points with depth and texture to start from")
-        dt = motion.gap(frame.timestamp)
-        guess = motion.predicted(dt) @ inverse(reference.T_kf_world)
-        resting = motion.T_cam_world @ inverse(reference.T_kf_world)
-        prior = motion_information(self.config, dt)
-        motion.turn = turn_rate(guess, resting, dt)
-        noise = with_blur(self.noise, self.config.noise, frame.camera.fx, motion.turn, reference.turn)
-        pair = Pair(frame, reference.keyframe, noise, self.backend)
-        self._choose(reference, pair, guess, prior)
-        tracked, verdict, motion.surprise_px = align(
-            pair, State(guess, reference.affine), resting, reference.index, prior, self.config.tracking.levels,
-            motion.surprise_px,
-        )  # fmt: skip
+        tracked, verdict = self._align(frame, self.reference)
+        if verdict.doubt(LIMITS.weak) and self._late_keyframe():
+            tracked, verdict = self._align(frame, self.reference)
+        reference, motion = self.reference, self.motion
         if reason := verdict.doubt(LIMITS.lost):
-            return self._lost(frame, reason)
+            return self._found_again(frame) or self._lost(frame, reason)
+        dt = motion.gap(frame.timestamp)
         entropies = self.backend.freedom_entropies(tracked.information)
         after_loss = "the frame before was lost" if self.lost_in_a_row else ""
         reason = verdict.doubt(LIMITS.weak) or unsure(entropies) or after_loss
         reference.entropies.append(entropies)
         reference.affine = tracked.affine
-        motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame.timestamp, 0.0 if self.lost_in_a_row else dt)
+        motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame, 0.0 if self.lost_in_a_row else dt)
         self.lost_in_a_row = 0
         result = self._measured(frame, reference, tracked, Status.WEAK if reason else Status.OK, reason)
         if wants_keyframe(reference.entropies, self.config.keyframe) and self._new_keyframe(frame):
-            result = replace(result, keyframe=True, T_world_cam=torch.from_numpy(inverse(self.motion.T_cam_world)))
+            result = replace(result, keyframe=True, T_world_cam=torch.from_numpy(inverse(motion.T_cam_world)))
+            return self._joined(frame, result) if self.history.segment > 0 else result
         return result
+
+    def _align(self, frame: Frame, reference: Reference) -> tuple[Tracked, Verdict]:
+        """A frame against the newest keyframe, from where it is expected."""
+        motion, dt = self.motion, self.motion.gap(frame.timestamp)
+        guess = motion.predicted(dt) @ inverse(reference.T_kf_world)
+        resting = motion.T_cam_world @ inverse(reference.T_kf_world)
+        prior = motion_information(self.config, dt)
+        motion.turn = turn_rate(guess, resting, dt)
+        pair = self._pair(frame, reference)
+        self._choose(reference, pair, guess, prior)
+        tracked, verdict, motion.surprise_px = align(
+            pair, State(guess, reference.affine), resting, reference.index, prior, self.config.tracking.levels,
+            motion.surprise_px,
+        )  # fmt: skip
+        return tracked, verdict
+
+    def _pair(self, frame: Frame, reference: Reference) -> Pair:
+        turn, config = self.motion.turn, self.config.noise
+        noise = with_blur(self.noise, config, frame.camera.fx, turn, reference.turn)
+        return Pair(frame, reference.keyframe, noise, self.backend)
+
+    def _late_keyframe(self) -> bool:
+        """Make a keyframe of the frame before, which shares most with the present one; False where that cannot be."""
+        last = self.motion.frame
+        if last is None or self.lost_in_a_row or last.timestamp == self.history.keyframe_times[-1]:
+            return False
+        return self._new_keyframe(last)
 
     def _choose(self, reference: Reference, pair: Pair, T_frame_kf: Array, prior: Array) -> None:
         """The points to track: chosen anew when the view has moved by the margin that kept them inside the image."""
@@ -129,6 +151,7 @@ class IdRgbdo:
             keyframe = self._refine(keyframe, chosen)
         self.history.condense()
         self.reference = Reference(keyframe, self.motion.T_cam_world, self.motion.turn, index)
+        self.history.remember(keyframe, self.backend)
 
     def _refine(self, keyframe: Keyframe, index: Index) -> Keyframe:
         """Add a keyframe to the window, optimise, shrink; the present pose and its velocity follow."""
@@ -148,17 +171,73 @@ class IdRgbdo:
         if len(keyframe.points.uv) < FEWEST_CANDIDATES:
             return self._hold(frame, reason)
         first = self.reference is None
+        self._leave_window()
+        self.motion.lose()
+        self.history.segment = 0 if first else self.history.new_segment()
+        self._adopt(keyframe)
+        self.motion.time = frame.timestamp
+        self.lost_in_a_row = 0
+        reason = "" if first else "a new segment starts here, at the last known pose"
+        return replace(self._held(frame, Status.OK if first else Status.LOST, reason), keyframe=True)
+
+    def _leave_window(self) -> None:
+        """What comes next is not tied to the keyframes so far."""
         for old in self.window.members.keyframes:
             self.history.leave(0, old)
         self.window = Window(self.config, self.noise, self.backend)
         self.reference = None
+
+    def _found_again(self, frame: Frame) -> TrackResult | None:
+        """A lost frame in another keyframe than the newest, as a keyframe of its own; None where it is in none."""
+        window = self.window_keyframes()
+        _, (newest, _) = window.popitem()  # which has been tried
+        pair = Pair(frame, newest, self.noise, self.backend)
+        found = find_in_window(pair, self.motion.predicted(self.motion.gap(frame.timestamp)), window)
+        found = found or find_in_places(pair, self.history.places.likely(pair.frame, self.lost_in_a_row))
+        if found is None:
+            return None
+        keyframe = make_keyframe(frame, self.config, self.rng, self.backend)
+        if len(keyframe.points.uv) < FEWEST_CANDIDATES:
+            return None
+        history, time = self.history, frame.timestamp
+        if found.number not in window:
+            self._leave_window()
+        self.motion.move(found.tracked.T_frame_kf @ history.keyframe_poses[found.number], frame, 0.0)
         self.motion.lose()
+        self.reference, self.lost_in_a_row, self.last = None, 0, None
+        history.segment = history.segments[found.number]
         self._adopt(keyframe)
-        self.motion.time = frame.timestamp
-        self.history.segment += 0 if first else 1
-        self.lost_in_a_row = 0
-        reason = "" if first else "a new segment starts here, at the last known pose"
-        return replace(self._held(frame, Status.OK if first else Status.LOST, reason), keyframe=True)
+        history.add_frame(time, np.eye(4))
+        return TrackResult(
+            T_world_cam=torch.from_numpy(inverse(self.motion.T_cam_world)),
+            status=Status.WEAK,
+            reason=f"found again in the keyframe of {history.keyframe_times[found.number]:.3f} s",
+            reference_time=history.keyframe_times[found.number],
+            T_ref_cam=torch.from_numpy(inverse(found.tracked.T_frame_kf)),
+            information=torch.from_numpy(found.tracked.information),
+            keyframe=True,
+            points=found.tracked.points,
+            iterations=found.tracked.iterations,
+            segment=history.segment,
+        )
+
+    def _joined(self, frame: Frame, result: TrackResult) -> TrackResult:
+        """Look for a new keyframe in the places of earlier segments; where it is found, the present one joins them."""
+        history, reference = self.history, self.reference
+        earlier = [p for p in history.places.likely(frame, 0) if history.segments[p.number] < history.segment]
+        if reference is None or (found := find_in_places(self._pair(frame, reference), earlier)) is None:
+            return result
+        segment = history.segments[found.number]
+        seen = f"found in the keyframe of {history.keyframe_times[found.number]:.3f} s"
+        reason = f"segment {history.segment} joins {segment}, {seen}"
+        T_cam_world = found.tracked.T_frame_kf @ history.keyframe_poses[found.number]
+        T_segment_world = inverse(self.motion.T_cam_world) @ T_cam_world
+        history.join(segment, T_segment_world)
+        self.window.move_world(T_segment_world)
+        self.motion.move_world(T_segment_world)
+        reference.T_kf_world = reference.T_kf_world @ T_segment_world
+        pose = torch.from_numpy(inverse(self.motion.T_cam_world))
+        return replace(result, T_world_cam=pose, status=Status.WEAK, reason=reason, segment=segment)
 
     def _lost(self, frame: Frame, reason: str) -> TrackResult:
         """Stay where we were and say so; after too many such frames begin anew, with this one."""
@@ -202,13 +281,13 @@ class IdRgbdo:
         """Every frame's pose by all that is known now, the frames after it included."""
         return self.history.trajectory()
 
-    def map(self) -> Cloud:
-        """The candidate points of all keyframes in the world, with colours and normals."""
-        return self.history.map(self.window.members.keyframes)
+    def maps(self) -> dict[int, Cloud]:
+        """By segment, the candidate points of its keyframes in its world; more than one only where a track broke."""
+        return self.history.maps(self.window.members.keyframes)
 
     def map_points(self) -> tuple[Tensor, Tensor]:
         """(N, 3) float32 candidate points of all keyframes in the world, m, and their (N, 3) uint8 RGB colours."""
-        cloud = self.map()
+        cloud = together(self.maps().values())
         return torch.from_numpy(cloud.xyz), torch.from_numpy(cloud.rgb)
 
     def window_keyframes(self) -> dict[int, tuple[Keyframe, Array]]:

@@ -29,5 +29,5 @@ class Inspectable(Protocol):
     def window_keyframes(self) -> dict[int, tuple[Keyframe, NDArray[np.float64]]]:
         """By number, the keyframes that are still refined and their T_kf_world (4, 4); the newest is the last."""
 
-    def map(self) -> Cloud:
-        """The points of all keyframes in the world, with colours and normals."""
+    def maps(self) -> dict[int, Cloud]:
+        """By segment, the points of its keyframes with colours and normals; segments lie in worlds of their own."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -87,6 +87,12 @@ def world_cloud(clouds: Sequence[Cloud], T_kf_world: Sequence[Array]) -> Cloud:
         normal.append((cloud.normal @ T[:3, :3]).astype(np.float32))
     rgb = [NOTHING.rgb, *(cloud.rgb for cloud in clouds)]
     return Cloud(np.concatenate(xyz), np.concatenate(rgb), np.concatenate(normal))
+
+
+def together(clouds: Iterable[Cloud]) -> Cloud:
+    """Clouds in one world as one."""
+    parts = [NOTHING, *clouds]
+    return Cloud(*(np.concatenate(arrays) for arrays in zip(*((c.xyz, c.rgb, c.normal) for c in parts), strict=True)))
 
 
 def condense(

@@ -8,6 +8,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
+from ..frame import Frame
 from ..kernels.se3 import inverse, log_se3, retract
 from ..measurement import RATE
 
@@ -26,6 +27,7 @@ class Motion:
     time: float = 0.0  # s, of the last pose that was measured: lost frames since then do not count
     surprise_px: float = inf  # px in the image between the last frame's guess and pose
     turn: Array = field(default_factory=lambda: np.zeros(3))  # rad/s, of the last frame
+    frame: Frame | None = None  # the last one, where it was measured
 
     @staticmethod
     def at(T_cam_world: Array) -> Motion:
@@ -42,18 +44,23 @@ class Motion:
         ratio = min(dt / self.dt, LONGEST) if self.dt > 0.0 else 0.0
         return predict(self.T_cam_world, self.T_previous, ratio)
 
-    def move(self, T_cam_world: Array, timestamp: float, dt: float) -> None:
-        """To a measured pose; dt 0 where the step from the one before is no velocity."""
-        self.T_previous, self.T_cam_world, self.dt, self.time = self.T_cam_world, T_cam_world, dt, timestamp
+    def move(self, T_cam_world: Array, frame: Frame, dt: float) -> None:
+        """To a frame's measured pose; dt 0 where the step from the one before is no velocity."""
+        self.T_previous, self.T_cam_world, self.dt = self.T_cam_world, T_cam_world, dt
+        self.frame, self.time = frame, frame.timestamp
 
     def correct(self, T_cam_world: Array) -> None:
         """The present pose was refined: the one before follows, so that the velocity stays."""
         self.T_previous = self.T_previous @ inverse(self.T_cam_world) @ T_cam_world
         self.T_cam_world = T_cam_world
 
+    def move_world(self, T_old_new: Array) -> None:
+        """See everything from another world, which lies at this pose (4, 4) in the old one."""
+        self.T_cam_world, self.T_previous = self.T_cam_world @ T_old_new, self.T_previous @ T_old_new
+
     def lose(self) -> None:
         """No velocity and no expectation any more."""
-        self.dt, self.surprise_px = 0.0, inf
+        self.dt, self.surprise_px, self.frame = 0.0, inf, None
 
 
 def predict(T_a: Array, T_b: Array, ratio: float) -> Array:

@@ -159,6 +159,11 @@ class Window:
         psi = self.backend.redundancy(information)
         return int(psi[: K - PROTECTED].argmax())
 
+    def move_world(self, T_old_new: Array) -> None:
+        """See everything from another world, which lies at this pose (4, 4); the prior stays as it is."""
+        members = self.members
+        self.members = members._replace(T=members.T @ T_old_new, T_linear=members.T_linear @ T_old_new)
+
     def marginalise(self, k: int) -> None:
         """Replace a keyframe's points, then the keyframe itself, by a linear prior on the others (Eqs. 21 to 25)."""
         K = len(self.members.keyframes)
