@@ -93,7 +93,8 @@ class RecordedSequence:
         self._builder = FrameBuilder(recording.calibration, color, reading.scale, reading.unknown)
         self.camera: Pinhole = self._builder.camera
         self._builder.frame(0.0, color, depth)  # colour and depth must fit each other
-        self.warnings = [*recording.warnings, *reading.warnings]
+        size_doubt = recording.calibration.size_doubt(self.camera.width, self.camera.height)
+        self.warnings = [*recording.warnings, *reading.warnings, *filter(None, [size_doubt])]
 
     @property
     def recognised(self) -> str:
@@ -101,7 +102,9 @@ class RecordedSequence:
         c = self.camera
         truth = "with ground truth" if self.groundtruth is not None else "no ground truth"
         depth = "depth in metres" if self.depth_scale == 1 else f"{self.depth_scale:g} depth values per metre"
-        return f"{self._recording.title}: {len(self)} frames of {c.width}x{c.height}, {depth}, {truth}"
+        origin = self._recording.calibration.origin
+        about = f"{len(self)} frames of {c.width}x{c.height}, {depth}, {truth}"
+        return f"{self._recording.title}: {about}{', ' if origin else ''}{origin}"
 
     def __len__(self) -> int:
         return len(self._chosen)

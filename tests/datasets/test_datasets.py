@@ -149,7 +149,7 @@ def test_distorted_images_become_pinhole_images() -> None:
 
     seen_x, seen_y = (u - 160) / 200, (v - 118) / 210
     x, y = seen_x, seen_y
-    k1, k2, p1, p2, k3 = calibration.distortion
+    k1, k2, p1, p2, k3 = calibration.distortion[:5]
     for _ in range(200):  # invert the radial-tangential model by fixed point
         r2 = x**2 + y**2
         radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
