@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import IdRgbdoError
+from ..textfile import read_text
 from .yaml_text import parse_yaml
 
 MATRICES = (
@@ -61,7 +62,7 @@ def camera_values(path: Path) -> dict[str, Any]:
     Raises IdRgbdoError for a file that cannot be read, holds no camera or several, or a lens of another kind.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise IdRgbdoError(f"configuration: cannot read '{path}': {error}; pass an existing text file") from error
     return _upright(_values(path, text, str(path)), str(path))

@@ -23,7 +23,7 @@ from .keyframe import make_keyframe, wants_keyframe
 from .mapping import NOTHING, Cloud, keyframe_cloud
 from .motion import Motion, turn_rate
 from .reference import Reference
-from .selection import point_bits, select_points
+from .selection import point_bits, select_points, view_margin
 from .tracking import Pair, Tracked, motion_information
 from .verification import LIMITS, unsure
 from .warmup import warm_up
@@ -97,7 +97,8 @@ class IdRgbdo:
         """The points to track: chosen anew when the view has moved by the margin that kept them inside the image."""
         if not self.config.selection.per_frame:
             return
-        if displacement(pair, reference.T_chosen, T_frame_kf) < self.config.selection.margin:
+        margin = view_margin(self.config.selection.margin, reference.keyframe.frame.camera)
+        if displacement(pair, reference.T_chosen, T_frame_kf) < margin:
             return
         reference.T_chosen = T_frame_kf
         reference.index = self._select(reference.keyframe, T_frame_kf, self.config.selection.points, prior, pair.noise)
