@@ -54,7 +54,7 @@ def test_real_sequences_open_and_read(data_dir: Path, name: str, frames: int, fo
 def test_millimetres_read_as_tum_units_are_noticed(data_dir: Path) -> None:
     (warning,) = open_sequence(data_dir / "redwood_5").warnings
     assert "0.372 m" in warning
-    assert "--depth-scale 1000" in warning
+    assert "1.9 m with 1000 (millimetres): pass that of your camera with --depth-scale" in warning
     assert open_sequence(data_dir / "redwood_5", depth_scale=1000).warnings == []
 
 
