@@ -40,7 +40,9 @@ class SelectionConfig:
     per_frame: bool = True  # choose anew when the view has moved by the margin, or only once a keyframe
     objective: Literal["bits", "paper"] = "bits"  # Eq. 18 in bits with a weighted spread, or as printed
     candidates: Count = 600  # kept per keyframe, but at least four times the points
-    margin: NonNegative = 20.0  # px inside the image; the view may move so far before points are chosen anew
+    margin: NonNegative = (
+        20.0  # px inside the image, at most 1/8 of its side; after such a move, points are chosen anew
+    )
     spread: NonNegative = 0.25  # bits, weight of the second term of Eq. 18
     c_z: NonNegative = 25.0  # its sharpness: half weight at a fifth of the image radius
     distance: NonNegative = 6.0  # px between chosen points: overlapping patches measure the same thing

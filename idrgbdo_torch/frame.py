@@ -77,7 +77,14 @@ def prepare(rgbd: RgbdFrame) -> Frame:
     """Gray pyramid by 2x2 means, which is what Pinhole.at_level assumes; the coarse levels are blurred.
 
     Without the blur, texture aliases on the coarse levels and Gauss-Newton crawls there. The input is not changed.
+    Raises IdRgbdoError for images that have no coarsest level.
     """
+    least = 2 ** (LEVELS - 1)
+    if min(rgbd.camera.width, rgbd.camera.height) < least:
+        raise IdRgbdoError(
+            f"frame: expected images of at least {least}x{least} pixels, got {rgbd.camera.width}x{rgbd.camera.height}; "
+            "record larger ones"
+        )
     images = [np.ascontiguousarray(rgbd.gray.numpy())]
     while len(images) < LEVELS:
         height, width = images[-1].shape

@@ -22,6 +22,8 @@ RANSAC_PX, RANSAC_ROUNDS, SEED = 4.0, 200, 0
 SIGMA_PX, SIGMA_DEPTH = 1.0, 0.01  # of a match; of a depth, relative
 UNIT_PX = 100.0  # of the principal point among the unknowns
 EVALUATIONS = 30
+PARTS = 4  # of a recording, that are fitted on their own, too
+TELLS = 0.7  # logarithm of the focal factor: a part that moves so far, or may, tells nothing
 
 
 @dataclass(frozen=True)
@@ -50,16 +52,47 @@ class _View:
     start: Array  # (6,) rotation vector and translation of T_second_first
 
 
-def self_calibrate(pairs: list[Pair], camera: Pinhole) -> SelfCalibration | None:
-    """Bundle adjustment of the pairs' motions, one factor on fx and fy, and the principal point; None without pairs."""
-    from scipy.optimize import least_squares  # 0.2 s to import
-    from scipy.sparse import lil_matrix
+@dataclass(frozen=True)
+class _Fit:
+    """The intrinsics that fit some views: logarithm of the focal factor, principal point in UNIT_PX."""
 
+    intrinsics: Array  # (3,)
+    sigma: Array  # (3,) formal standard deviations
+    noise: float
+    motions: Array  # (V, 6)
+
+
+def self_calibrate(pairs: list[Pair], camera: Pinhole) -> SelfCalibration | None:
+    """Bundle adjustment of the pairs' motions, one factor on fx and fy, and the principal point; None without pairs.
+
+    The formal deviations hold where only the matches err. Depth that bends, a rolling shutter or a moving object err
+    too, another way in each part of a recording: the deviations grow by how much the parts disagree.
+    """
     known = [pair.depth_first[pair.depth_first > 0] for pair in pairs]
     unit = float(np.median(np.concatenate(known))) if any(map(len, known)) else 1.0
     views = [view for pair in pairs if (view := _view(pair, camera, unit)) is not None]
     if not views:
         return None
+    fit = _fit(views, camera)
+    sigma = fit.sigma * _disagreement([_fit(part, camera) for part in _parts(views)])
+    factor = float(np.exp(fit.intrinsics[0]))
+    translations = [float(np.linalg.norm(motion[3:])) * unit for motion in fit.motions]
+    return SelfCalibration(
+        focal_factor=factor,
+        focal_sigma=factor * float(sigma[0]),
+        center_px=(UNIT_PX * float(fit.intrinsics[1]), UNIT_PX * float(fit.intrinsics[2])),
+        center_sigma_px=UNIT_PX * float(max(sigma[1], sigma[2])),
+        residual=fit.noise,
+        pairs=len(views),
+        points=sum(len(view.uv_first) for view in views),
+        motions=[(v.pair.first, v.pair.second, metres) for v, metres in zip(views, translations, strict=True)],
+    )
+
+
+def _fit(views: list[_View], camera: Pinhole) -> _Fit:
+    from scipy.optimize import least_squares  # 0.2 s to import
+    from scipy.sparse import lil_matrix
+
     rows = np.cumsum([0] + [3 * len(view.uv_first) for view in views])
     sparsity = lil_matrix((rows[-1], 3 + 6 * len(views)), dtype=np.int8)
     for number in range(len(views)):
@@ -74,19 +107,29 @@ def self_calibrate(pairs: list[Pair], camera: Pinhole) -> SelfCalibration | None
     fit = least_squares(residuals, start, loss="soft_l1", jac_sparsity=sparsity, x_scale="jac", max_nfev=EVALUATIONS)
     noise = 1.4826 * float(np.median(np.abs(fit.fun)))
     J = np.asarray(fit.jac.todense())
-    sigma = noise * np.sqrt(np.diag(np.linalg.pinv(J.T @ J)))
-    factor = float(np.exp(fit.x[0]))
-    translations = [float(np.linalg.norm(fit.x[6 + 6 * n : 9 + 6 * n])) * unit for n in range(len(views))]
-    return SelfCalibration(
-        focal_factor=factor,
-        focal_sigma=factor * float(sigma[0]),
-        center_px=(UNIT_PX * float(fit.x[1]), UNIT_PX * float(fit.x[2])),
-        center_sigma_px=UNIT_PX * float(max(sigma[1], sigma[2])),
-        residual=noise,
-        pairs=len(views),
-        points=int(rows[-1]) // 3,
-        motions=[(v.pair.first, v.pair.second, metres) for v, metres in zip(views, translations, strict=True)],
-    )
+    sigma = noise * np.sqrt(np.maximum(np.diag(np.linalg.pinv(J.T @ J))[:3], 0.0))
+    return _Fit(fit.x[:3], sigma, noise, fit.x[3:].reshape(-1, 6))
+
+
+def _parts(views: list[_View]) -> list[list[_View]]:
+    """The views in stretches of the recording, one after another."""
+    cuts = np.array_split(np.arange(len(views)), min(PARTS, len(views)))
+    return [[views[index] for index in cut] for cut in cuts]
+
+
+def _disagreement(fits: list[_Fit]) -> float:
+    """By how much the fits of parts differ more than their deviations allow; at least 1.
+
+    Parts that can tell nothing, as where the camera stood still, are left out.
+    """
+    told = [fit for fit in fits if abs(fit.intrinsics[0]) < TELLS and 0.0 < fit.sigma[0] < TELLS]
+    if len(told) < 2:
+        return 1.0
+    x, sigma = (np.array([getattr(fit, name) for fit in told]) for name in ("intrinsics", "sigma"))
+    weight = 1.0 / np.maximum(sigma, 1e-9) ** 2
+    mean = (weight * x).sum(axis=0) / weight.sum(axis=0)
+    chi2 = (weight * (x - mean) ** 2).sum(axis=0) / (len(told) - 1)
+    return float(np.sqrt(max(1.0, chi2.mean())))
 
 
 def _view(pair: Pair, camera: Pinhole, unit: float) -> _View | None:

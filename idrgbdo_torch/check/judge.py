@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..datasets.depth_scale import USUAL_M, scale_doubt
 from .edges import CONTRAST, STRONG
 from .findings import Finding, Verdict
 
@@ -21,7 +22,6 @@ MATCHED_NOTE, MATCHED_FAULT = 0.95, 0.75  # share of the shorter list that found
 MISSING_NOTE, MISSING_FAULT = 0.03, 0.15  # share of frames
 LOW_RATE = 8.0  # frames per second
 VALID_NOTE, VALID_FAULT = 0.4, 0.15  # share of pixels with depth
-MEDIAN_LOW_M, MEDIAN_HIGH_M = 0.5, 4.5  # of what a hand-held depth camera looks at
 SCALE_LIMIT = 1.4  # ratio of ways, by the depth and by the reference
 SCALE_PAIRS, SCALE_WAY_M = 3, 0.15  # that can tell it
 SHIFT_NOTE, SHIFT_FAULT = 0.008, 0.016  # of the image's width
@@ -122,9 +122,14 @@ def _scale(m: Measured) -> Finding:
         return Finding("depth scale", Verdict.FAULT, value, _scale_advice(motion.scale))
     if math.isnan(middle):
         return Finding("depth scale", Verdict.UNKNOWN, "no depth")
-    if MEDIAN_LOW_M <= middle <= MEDIAN_HIGH_M:
+    if m.depth_scale is not None:
+        doubt = scale_doubt(middle, m.depth_scale)
+        if doubt is None:
+            return Finding("depth scale", Verdict.GOOD, value)
+        return Finding("depth scale", Verdict.FAULT if doubt.wrong else Verdict.NOTE, value, doubt.advice)
+    if USUAL_M[0] <= middle <= USUAL_M[1]:
         return Finding("depth scale", Verdict.GOOD, value)
-    likely = [factor for factor in (5.0, 0.2, 1000.0, 0.001) if MEDIAN_LOW_M <= middle / factor <= MEDIAN_HIGH_M]
+    likely = [factor for factor in (5.0, 0.2, 1000.0, 0.001) if USUAL_M[0] <= middle / factor <= USUAL_M[1]]
     advice = _scale_advice(likely[0]) if likely else "no hand-held camera looks there: pass the right --depth-scale"
     return Finding("depth scale", Verdict.FAULT, value, advice)
 

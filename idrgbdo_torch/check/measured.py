@@ -30,3 +30,4 @@ class Measured:
     calibration: SelfCalibration | None
     motion: ReferenceMotion | None
     shown: Sample | None  # the frame for the picture: most depth edges
+    depth_scale: float | None = None  # depth values per metre, where the sequence tells

@@ -71,6 +71,7 @@ def check(
         calibration=calibration,
         motion=_motion(sequence.groundtruth, sequence.timestamps, calibration),
         shown=shown,
+        depth_scale=getattr(sequence, "depth_scale", None),
     )
     return Report(judge.findings(measured), measured)
 

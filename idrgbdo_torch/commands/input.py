@@ -25,7 +25,9 @@ class Input:
     """How the recording is read."""
 
     format: str | None = None  # tum, icl_nuim, 7scenes, redwood, replica, scannet, ros, folder; else it is recognised
-    camera: Path | None = None  # TOML with fx, fy, cx, cy [k1 k2 p1 p2 k3 depth_scale]; else what the recording says
+    camera: Path | None = (
+        None  # TOML with fx, fy, cx, cy, or another program's YAML, JSON; else what the recording says
+    )
     associations: Path | None = None  # list `timestamp colour timestamp depth`; else images are paired by time
     association_limit: NonNegative = 0.02  # s, between the two images of a pair
     depth_scale: Positive | None = None  # depth values per metre; else the camera file's or the format's

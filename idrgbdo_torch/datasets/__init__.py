@@ -56,7 +56,7 @@ def open_sequence(
 ) -> RgbdSequence:
     """The recording in a folder or file, of any of FORMATS; `recognised` tells which.
 
-    format: one of FORMATS; by default the one that the path looks like. camera: TOML with the intrinsics, see
+    format: one of FORMATS; by default the one that the path looks like. camera: a file with the intrinsics, see
     find_calibration. depth_scale: values per metre, by default what the camera file says, else the format's usual.
     associations: a list `timestamp colour timestamp depth` instead of pairing by time. association_limit_s: between
     the two images of a frame. color_topic, depth_topic: of a ROS bag. start, every, max_frames: leave out the first

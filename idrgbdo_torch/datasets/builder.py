@@ -14,24 +14,25 @@ from ..definitions.camera import Pinhole
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from .calibration import Calibration
+from .depth_scale import SATURATED
 from .rectify import Registration, Undistortion
 
-USUAL_DEPTH_SCALES = (5000.0, 1000.0, 6553.5)  # TUM, millimetres, Replica
-PLAUSIBLE_MEDIAN_M = (0.5, 4.5)  # of what a hand-held depth camera looks at
 RawPair = tuple[NDArray[np.uint8], NDArray[Any]]  # (H, W, 3) blue green red, (h, w) raw depth, integers or float32
-SATURATED = 65535  # some cameras write it for "no depth"
 
 
 class FrameBuilder:
     """Turns raw images of one camera into frames."""
 
-    def __init__(self, calibration: Calibration, color: NDArray[np.uint8], depth_scale: float) -> None:
-        """color: the first image, which tells the size. depth_scale: depth values per metre.
+    def __init__(
+        self, calibration: Calibration, color: NDArray[np.uint8], depth_scale: float, unknown: float | None = None
+    ) -> None:
+        """color: the first image, which tells the size. depth_scale: depth values per metre. unknown: raw depth that
+        stands for "not measured", besides 0.
 
         Raises IdRgbdoError for a calibration of another size.
         """
         self.camera: Pinhole = calibration.pinhole(color.shape[1], color.shape[0])
-        self.depth_scale = depth_scale
+        self.depth_scale, self._unknown = depth_scale, unknown
         self._undistortion = Undistortion(calibration, self.camera) if any(calibration.distortion) else None
         self._registration = Registration(calibration, self.camera) if calibration.depth.fx is not None else None
 
@@ -50,6 +51,8 @@ class FrameBuilder:
                 "register the depth to the colour camera, or describe the depth camera in the camera file under [depth]"
             )
         depth_m = metres(depth, self.depth_scale)
+        if self._unknown is not None:
+            depth_m[depth == self._unknown] = 0
         if self._registration is not None:
             depth_m = self._registration.depth(depth_m)
         if self._undistortion is not None:
@@ -96,18 +99,3 @@ def refuse_swapped_bytes(depth: NDArray[Any]) -> None:
             f"{steps[0].mean():.0f} on the average, with the bytes exchanged by {steps[1].mean():.0f}; "
             "write the images again in the other byte order"
         )
-
-
-def depth_warnings(depth: NDArray[Any], depth_scale: float) -> list[str]:
-    """A sentence for the user where a frame's raw depth cannot be right."""
-    depth_m = metres(depth, depth_scale)
-    valid = depth_m[depth_m > 0]
-    if len(valid) == 0:
-        return ["the first frame has no valid depth at all; check that the depth images are the right ones"]
-    median = float(np.median(valid))
-    low, high = PLAUSIBLE_MEDIAN_M
-    if low <= median <= high:
-        return []
-    likely = [f"{scale:g}" for scale in USUAL_DEPTH_SCALES if low <= median * depth_scale / scale <= high]
-    hint = f"--depth-scale {likely[0]} is likely right" if likely else "pass the right --depth-scale"
-    return [f"depth scale {depth_scale:g} makes the first frame's median depth {median:.3g} m; {hint}"]

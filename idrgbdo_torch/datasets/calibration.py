@@ -1,9 +1,9 @@
-"""Where a recording's camera comes from: a TOML file, the folder's calibration.txt, or the data set in its name."""
+"""Where a recording's camera comes from: a calibration file, or the data set in the folder's name."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +13,16 @@ from .. import configfile
 from ..configfile import Count, Positive
 from ..definitions.camera import Pinhole
 from ..errors import IdRgbdoError
+from .camera_files import camera_values, usual_file
 
 EXAMPLE = "`fx = 525.0`, `fy = 525.0`, `cx = 319.5`, `cy = 239.5`, `depth_scale = 1000.0` (depth values per metre)"
+CENTER_USUAL = 0.08  # of the image's width, from its middle to the principal point
+USUAL_SIZES = (
+    *((160, 120), (320, 240), (640, 480), (960, 720), (1280, 960), (1440, 1080), (2048, 1536)),  # 4:3
+    *((640, 360), (960, 540), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160)),  # 16:9
+    *((424, 240), (848, 480), (640, 400), (1280, 800), (640, 576), (512, 424), (1200, 680), (256, 192)),
+)
+MIDDLE = 0.06  # of the size, that a principal point of one of these is off at most
 
 
 @dataclass(frozen=True)
@@ -41,31 +49,69 @@ class Calibration:
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
+    k4: float = 0.0  # to k6: of the rational model, as an Azure Kinect has it
+    k5: float = 0.0
+    k6: float = 0.0
     width: Count | None = None  # px; checked against the images where given
     height: Count | None = None
     depth_scale: Positive | None = None  # depth values per metre
     fps: Positive | None = None  # frames per second, where nothing else tells the times
     depth: DepthCamera = DepthCamera()
+    origin: str = field(default="", compare=False)  # where it was found, for people
 
     @property
     def distortion(self) -> tuple[float, ...]:
-        """k1, k2, p1, p2, k3, in OpenCV's order."""
-        return (self.k1, self.k2, self.p1, self.p2, self.k3)
+        """k1, k2, p1, p2, k3, k4, k5, k6, in OpenCV's order."""
+        return (self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6)
 
     def pinhole(self, width: int, height: int) -> Pinhole:
         """The camera of undistorted images of this size. Raises IdRgbdoError where it was calibrated for another."""
         stated = (self.width or width, self.height or height)
+        who = self.origin or "camera"
         if stated != (width, height):
             raise IdRgbdoError(
-                f"camera: calibrated for {stated[0]}x{stated[1]}, but the images are {width}x{height}; "
-                "give the intrinsics of these images"
+                f"{who}: calibrated for {stated[0]}x{stated[1]}, but the images are {width}x{height}; "
+                f"{self._advice(stated, (width, height))}"
             )
         if not (0 < self.cx < width and 0 < self.cy < height):
             raise IdRgbdoError(
-                f"camera: expected a principal point inside the images of {width}x{height}, got cx={self.cx:g}, "
-                f"cy={self.cy:g}; give the intrinsics of these images"
+                f"{who}: expected a principal point inside the images of {width}x{height}, got cx={self.cx:g}, "
+                f"cy={self.cy:g}; {self._advice(self.likely_size(), (width, height))}"
             )
         return Pinhole(width=width, height=height, fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy)
+
+    def likely_size(self) -> tuple[int, int] | None:
+        """(width, height) in whose middle the principal point would be, among the usual ones; None for none of them."""
+
+        def away(size: tuple[int, int]) -> float:
+            return max(abs(self.cx - (size[0] - 1) / 2) / size[0], abs(self.cy - (size[1] - 1) / 2) / size[1])
+
+        best = min(USUAL_SIZES, key=away)
+        return best if away(best) < MIDDLE else None
+
+    def size_doubt(self, width: int, height: int) -> str:
+        """A sentence where the principal point is so far from the middle that it is of other images; else empty."""
+        away = max(abs(self.cx - (width - 1) / 2), abs(self.cy - (height - 1) / 2)) / width
+        if away <= CENTER_USUAL:
+            return ""
+        return (
+            f"the principal point {self.cx:g}, {self.cy:g} is far from the middle of images of {width}x{height}: are "
+            f"these the intrinsics of images of another size? {self._advice(self.likely_size(), (width, height))}"
+        )
+
+    def _advice(self, size: tuple[int, int] | None, images: tuple[int, int]) -> str:
+        """What to write for images that were resized from `size` as a whole; in general where they were not."""
+        if (
+            size is None
+            or size == images
+            or abs(size[0] * images[1] - size[1] * images[0]) > 0.01 * size[0] * images[1]
+        ):
+            return "give the intrinsics of these images"
+        c = scaled(self, size, images)
+        return (
+            f"if they were resized from {size[0]}x{size[1]}, write `fx = {c.fx:.6g}`, `fy = {c.fy:.6g}`, "
+            f"`cx = {c.cx:.6g}`, `cy = {c.cy:.6g}`"
+        )
 
     def T_color_depth(self) -> NDArray[np.float64]:
         """(4, 4) pose of the depth camera in the colour camera. Raises IdRgbdoError for no rigid motion."""
@@ -83,22 +129,38 @@ class Calibration:
         return T
 
 
+BY_NAME = "camera of {}, by the folder's name"
+
+
+def _vga(origin: str, *values: float) -> Calibration:
+    """Of images of 640x480: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = [*values, 0.0, 0.0, 0.0, 0.0, 0.0][:9]
+    return Calibration(fx, fy, cx, cy, k1, k2, p1, p2, k3, width=640, height=480, origin=origin)
+
+
 # Published for the TUM RGB-D benchmark's three cameras; the third's images are already undistorted.
 TUM_CAMERAS = {
-    "1": Calibration(
-        517.306408, 516.469215, 318.643040, 255.313989, 0.262383, -0.953104, -0.005358, 0.002628, 1.163314
+    "1": _vga(
+        BY_NAME.format("TUM freiburg1"),
+        *(517.306408, 516.469215, 318.643040, 255.313989, 0.262383, -0.953104, -0.005358, 0.002628, 1.163314),
     ),
-    "2": Calibration(
-        520.908620, 521.007327, 325.141442, 249.701764, 0.231222, -0.784899, -0.003257, -0.000105, 0.917205
+    "2": _vga(
+        BY_NAME.format("TUM freiburg2"),
+        *(520.908620, 521.007327, 325.141442, 249.701764, 0.231222, -0.784899, -0.003257, -0.000105, 0.917205),
     ),
-    "3": Calibration(535.4, 539.2, 320.1, 247.6),
+    "3": _vga(BY_NAME.format("TUM freiburg3"), 535.4, 539.2, 320.1, 247.6),
 }
-BONN = Calibration(542.822841, 542.576870, 315.593520, 237.756098, 0.039903, -0.099343, -0.000730, -0.000144)
-ICL_NUIM = Calibration(481.2, 480.0, 319.5, 239.5)  # published with fy = -480, since its y axis points up
+BONN = _vga(
+    BY_NAME.format("Bonn's data set"),
+    *(542.822841, 542.576870, 315.593520, 237.756098, 0.039903, -0.099343, -0.000730, -0.000144),
+)
+# published with fy = -480, since its y axis points up
+ICL_NUIM = _vga("camera of ICL-NUIM", 481.2, 480.0, 319.5, 239.5)
+ICL_NUIM_NAME = r"traj\d\w*_frei_png|(^|_)(lr|of)_?kt\d|icl[-_]?nuim"
 NAMED = {
-    **{rf"(freiburg|fr){number}(?!\d)": camera for number, camera in TUM_CAMERAS.items()},
+    **{rf"(?<![a-z])(freiburg|fr){number}(?!\d)": camera for number, camera in TUM_CAMERAS.items()},
     r"rgbd_bonn_": BONN,
-    r"traj\d\w*_frei_png|(^|_)(lr|of)_?kt\d|icl[-_]?nuim": ICL_NUIM,
+    ICL_NUIM_NAME: ICL_NUIM,
 }
 
 NAN = float("nan")
@@ -106,25 +168,31 @@ UNSET = Calibration(NAN, NAN, NAN, NAN)
 
 
 def find_calibration(folder: Path, camera: Path | None = None, default: Calibration | None = None) -> Calibration:
-    """From `camera` (TOML), else the folder's camera.toml, its calibration.txt, the data set in its name, `default`.
+    """From the file `camera`, else the folder's camera.toml or calibration.txt, another program's calibration under a
+    usual name (camera_files.NAMES), the data set in the folder's name, `default`.
 
     Raises IdRgbdoError where none of them is there, or the one that is cannot be read.
     """
-    if camera is not None:
-        return _from_toml(camera)
-    toml, text = folder / "camera.toml", folder / "calibration.txt"
-    if toml.exists():
-        return _from_toml(toml)
-    if text.exists():
-        return _from_text(text)
+    ours = next((folder / name for name in ("camera.toml", "calibration.txt") if (folder / name).exists()), None)
+    if camera is not None or ours is not None:
+        return _from_file(camera or ours or folder)
+    other = usual_file(folder)
+    if other is not None:
+        return replace(_from_file(other), origin=f"camera of {other.name}")
     name = folder.resolve().name
     named = next((known for pattern, known in NAMED.items() if re.search(pattern, name, re.IGNORECASE)), default)
     if named is not None:
         return named
     raise IdRgbdoError(
-        f"camera: unknown intrinsics for '{folder}'; write '{toml}' with the lines {EXAMPLE}, in pixels of your "
-        "images, or pass --camera F.toml"
+        f"camera: unknown intrinsics for '{folder}'; write '{folder / 'camera.toml'}' with the lines {EXAMPLE}, in "
+        f"pixels of your images, or pass --camera F.toml or another program's YAML or JSON{_perhaps(folder)}"
     )
+
+
+def _perhaps(folder: Path) -> str:
+    """The files that may hold one."""
+    files = [path.name for path in sorted(folder.glob("*")) if path.suffix.lower() in (".yaml", ".yml", ".json")]
+    return f"; is it in {', '.join(files[:3])}?" if files else ""
 
 
 def scaled(calibration: Calibration, size: tuple[int, int], new_size: tuple[int, int]) -> Calibration:
@@ -141,8 +209,8 @@ def scaled(calibration: Calibration, size: tuple[int, int], new_size: tuple[int,
     )
 
 
-def _from_toml(path: Path) -> Calibration:
-    calibration = configfile.load(path, UNSET)
+def _from_file(path: Path) -> Calibration:
+    calibration = configfile.merge(UNSET, camera_values(path), f"{path}: ")
     for name in ("fx", "fy", "cx", "cy"):
         if np.isnan(getattr(calibration, name)):
             raise IdRgbdoError(f"{path}: {name}: expected the camera's value in pixels, got none; add `{name} = ...`")
@@ -150,16 +218,3 @@ def _from_toml(path: Path) -> Calibration:
     if depth != DepthCamera() and None in (depth.fx, depth.fy, depth.cx, depth.cy):
         raise IdRgbdoError(f"{path}: [depth]: expected fx, fy, cx and cy of the depth camera; add what is missing")
     return calibration
-
-
-def _from_text(path: Path) -> Calibration:
-    expected = "fx fy cx cy [k1 k2 p1 p2 k3] in pixels"
-    lines = [line.split("#")[0] for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
-    try:
-        numbers = [float(field) for field in " ".join(lines).split()]
-    except ValueError as error:
-        raise IdRgbdoError(f"{path}: expected {expected}, got text ({error}); correct it") from error
-    if len(numbers) not in (4, 8, 9):
-        raise IdRgbdoError(f"{path}: expected {expected}, got {len(numbers)} numbers; correct it")
-    names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-    return configfile.merge(UNSET, dict(zip(names, numbers, strict=False)), f"{path}: ")

@@ -13,7 +13,8 @@ from .pairing import images, reader
 from .recording import Options, Recording
 
 COLOR_FOLDERS = ("rgb", "color", "colour", "image", "images")
-DEPTH_FOLDERS = ("depth", "depths")
+# what is registered to colour goes first; depth/ beside it is what the depth camera saw
+DEPTH_FOLDERS = ("aligned_depth", "depth_aligned", "aligned_depth_to_color", "depth_registered", "depth", "depths")
 COLOR_WORD = re.compile(r"(?<![a-z])(rgb|colou?r|image|img)(?![a-z])", re.IGNORECASE)  # in names of one folder
 DEPTH_WORD = re.compile(r"(?<![a-z])depth(?![a-z])", re.IGNORECASE)
 DEPTH_SCALE = 1000.0  # millimetres
@@ -36,9 +37,10 @@ def read(folder: Path, options: Options) -> Recording:
         color, depth = (images(path) if path is not None else [] for path in folders)
         for found, path, names in zip((color, depth), folders, (COLOR_FOLDERS, DEPTH_FOLDERS), strict=True):
             if not found:
+                kind = ("rgb", "colour") if names is COLOR_FOLDERS else ("depth", "16-bit depth")
                 raise IdRgbdoError(
-                    f"sequence: expected images in '{path or folder / names[0]}', found none; put the "
-                    f"{'colour' if names is COLOR_FOLDERS else '16-bit depth'} images there"
+                    f"sequence: expected images in '{path or folder / kind[0]}', found none; put the {kind[1]} images "
+                    "there"
                 )
         where = f"{color[0].parent.name}/ and {depth[0].parent.name}/"
     calibration = find_calibration(folder, options.camera)

@@ -25,7 +25,11 @@ class Format:
 # in the order in which they are tried: the peculiar ones first
 FORMATS = {
     "ros": Format(ros.recognise, ros.read, "a .bag, .mcap or .db3 file, or a folder with metadata.yaml"),
-    "icl_nuim": Format(icl_nuim.recognise, icl_nuim.read, "scene_*.depth, or associations.txt with frame numbers"),
+    "icl_nuim": Format(
+        icl_nuim.recognise,
+        icl_nuim.read,
+        "scene_*.depth, or associations.txt with *.gt.freiburg or in a folder of its name",
+    ),
     "tum": Format(tum.recognise, tum.read, "rgb.txt and depth.txt"),
     "7scenes": Format(seven_scenes.recognise, seven_scenes.read, "frame-*.color.png"),
     "scannet": Format(scannet.recognise, scannet.read, "intrinsic/intrinsic_color.txt"),

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..errors import IdRgbdoError
 from ..trajectory import read_tum
 from .builder import RawPair
-from .calibration import ICL_NUIM, Calibration, find_calibration
+from .calibration import ICL_NUIM, ICL_NUIM_NAME, Calibration, find_calibration
 from .images import read_color
 from .pairing import FPS, numbered, reader
 from .poses import Matrix, reference
@@ -30,14 +30,16 @@ M = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 def recognise(path: Path) -> bool:
-    """Whether there are POV-Ray's depth files, or the numbered pairs of the PNGs without the lists of TUM's layout."""
+    """Whether there are POV-Ray's depth files, or numbered pairs beside the poses or in a folder of the set's name.
+
+    Numbered pairs alone are how people prepare recordings of their own, too.
+    """
     if any(path.glob("scene_*.depth")):
         return True
-    listed = path / "associations.txt"
-    if (path / "rgb.txt").exists() or not listed.is_file():
+    if (path / "rgb.txt").exists() or not (path / "associations.txt").is_file():
         return False
-    first = listed.read_text(encoding="utf-8", errors="replace").split(maxsplit=1)
-    return any(path.glob("*.gt.freiburg")) or (bool(first) and first[0].isdigit() and len(first[0]) < 7)
+    named = re.search(ICL_NUIM_NAME, path.resolve().name, re.IGNORECASE) is not None
+    return named or any(path.glob("*.gt.freiburg"))
 
 
 def read(folder: Path, options: Options) -> Recording:

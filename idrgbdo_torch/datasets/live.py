@@ -15,8 +15,9 @@ from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from ..open3d_loader import load_open3d
 from ..trajectory import Trajectory
-from .builder import FrameBuilder, depth_warnings
+from .builder import FrameBuilder
 from .calibration import Calibration
+from .depth_scale import depth_warnings
 from .open3d_images import calibration_of, open3d_speaks, raw_pair
 
 MISSED = 3  # images in a row that may fail to come before the camera counts as gone

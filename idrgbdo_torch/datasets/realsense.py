@@ -13,7 +13,8 @@ from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from ..open3d_loader import load_open3d
 from ..trajectory import Trajectory
-from .builder import FrameBuilder, depth_warnings
+from .builder import FrameBuilder
+from .depth_scale import depth_warnings
 from .open3d_images import calibration_of, open3d_speaks, raw_pair
 from .recording import Options
 
@@ -62,10 +63,10 @@ class RealSenseRecording:
             raise IdRgbdoError(f"{path}: expected frames, the recording ends before the first; record it again")
         self._waiting: tuple[float, Any] | None = first
         color, depth = raw_pair(first[1])
-        scale = options.depth_scale or calibration.depth_scale or metadata.depth_scale
-        self._builder = FrameBuilder(calibration, color, scale)
+        self.depth_scale: float = options.depth_scale or calibration.depth_scale or metadata.depth_scale
+        self._builder = FrameBuilder(calibration, color, self.depth_scale)
         self.camera: Pinhole = self._builder.camera
-        self.warnings = depth_warnings(depth, scale)
+        self.warnings = depth_warnings(depth, self.depth_scale)
 
     @property
     def recognised(self) -> str:

@@ -6,13 +6,17 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
 
 from ..definitions.camera import Pinhole
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from ..trajectory import Trajectory
-from .builder import FrameBuilder, RawPair, depth_warnings, refuse_swapped_bytes
+from .builder import FrameBuilder, RawPair, refuse_swapped_bytes
 from .calibration import Calibration
+from .depth_scale import depth_reading
 from .prefetch import prefetch
 
 LOOK_AT = 30  # frames that may be broken before the first good one
@@ -83,12 +87,14 @@ class RecordedSequence:
         self.groundtruth: Trajectory | None = recording.groundtruth
         color, depth = self._first_pair()
         refuse_swapped_bytes(depth)
-        stated = options.depth_scale or recording.calibration.depth_scale
-        self.depth_scale = stated or (recording.depth_scale if depth.dtype.kind in "iu" else 1.0)
-        self._builder = FrameBuilder(recording.calibration, color, self.depth_scale)
+        in_file = recording.calibration.depth_scale
+        reading = depth_reading(depth, self._later_depths, options.depth_scale, in_file, recording.depth_scale)
+        self.depth_scale = reading.scale
+        self._builder = FrameBuilder(recording.calibration, color, reading.scale, reading.unknown)
         self.camera: Pinhole = self._builder.camera
         self._builder.frame(0.0, color, depth)  # colour and depth must fit each other
-        self.warnings = [*recording.warnings, *depth_warnings(depth, self.depth_scale)]
+        size_doubt = recording.calibration.size_doubt(self.camera.width, self.camera.height)
+        self.warnings = [*recording.warnings, *reading.warnings, *filter(None, [size_doubt])]
 
     @property
     def recognised(self) -> str:
@@ -96,7 +102,9 @@ class RecordedSequence:
         c = self.camera
         truth = "with ground truth" if self.groundtruth is not None else "no ground truth"
         depth = "depth in metres" if self.depth_scale == 1 else f"{self.depth_scale:g} depth values per metre"
-        return f"{self._recording.title}: {len(self)} frames of {c.width}x{c.height}, {depth}, {truth}"
+        origin = self._recording.calibration.origin
+        about = f"{len(self)} frames of {c.width}x{c.height}, {depth}, {truth}"
+        return f"{self._recording.title}: {about}{', ' if origin else ''}{origin}"
 
     def __len__(self) -> int:
         return len(self._chosen)
@@ -124,3 +132,11 @@ class RecordedSequence:
             except IdRgbdoError as error:
                 first_error = first_error or error
         raise first_error or IdRgbdoError("sequence: expected frames, got none; check the recording")
+
+    def _later_depths(self) -> Iterator[NDArray[Any]]:
+        """The raw depth of the frames in the middle and at the end, where they can be read."""
+        for index in {self._chosen[len(self) // 2], self._chosen[-1]}:
+            try:
+                yield self._recording.read(index)[1]
+            except IdRgbdoError:
+                continue

@@ -12,6 +12,7 @@ from ..definitions.camera import Pinhole
 from .calibration import Calibration
 
 Image32 = NDArray[np.float32]
+SURFACE = 1.02  # ratio of neighbouring depths of one surface
 
 
 class Undistortion:
@@ -39,7 +40,10 @@ class Registration:
 
     Two cameras in one place differ by a map of the image plane. Otherwise each depth pixel becomes a point that is
     projected into the colour camera, the nearest of those that fall on a pixel winning; depth that is coarser than
-    the colour image is enlarged before, without inventing values, so that no holes arise.
+    the colour image is enlarged before, so that no holes arise.
+
+    Coarser depth is interpolated within surfaces: repeated values would make steps of them, each block facing the
+    camera, and a tracker that looks at slopes of depth takes these for the scene's (docs/data.md has what it costs).
     """
 
     def __init__(self, calibration: Calibration, camera: Pinhole) -> None:
@@ -50,7 +54,9 @@ class Registration:
         self._R, self._t = T_color_depth[:3, :3], T_color_depth[:3, 3].astype(np.float32)
         self._same_place = np.allclose(T_color_depth, np.eye(4), atol=1e-9)
         K_color = camera.matrix().numpy()
-        self._enlarge = max(math.ceil(K_color[k, k] / self._K_depth[k, k] - 1e-6) for k in (0, 1))
+        ratio = max(K_color[k, k] / self._K_depth[k, k] for k in (0, 1))
+        self._enlarge = math.floor(ratio + 0.1) + 1  # so that the points lie less than a pixel apart
+        self._coarse = ratio > 1.1
         self._turned: Image32 | None = None  # made when the depth image's size is known
         v, u = np.indices((camera.height, camera.width))
         H = self._K_depth @ np.linalg.inv(K_color)
@@ -60,8 +66,8 @@ class Registration:
     def depth(self, image: Image32) -> Image32:
         """(H, W) metres in the colour camera, 0 where unknown, of any size of depth image in metres."""
         if self._same_place:
-            return np.asarray(cv2.remap(image, self._map_u, self._map_v, cv2.INTER_NEAREST), dtype=np.float32)
-        larger = image.repeat(self._enlarge, axis=0).repeat(self._enlarge, axis=1)
+            return sampled(image, self._map_u, self._map_v, smooth=self._coarse)
+        larger = self._enlarged(image) if self._enlarge > 1 else image
         c = self._camera
         x, y, z = self._rays(larger.shape) * larger + self._t[:, None, None]  # (3, h, w) m, in the colour camera
         seen = (larger > 0) & (z > 0)
@@ -72,6 +78,12 @@ class Registration:
         np.minimum.at(nearest, (v[inside] * c.width + u[inside]).astype(np.int64), z[inside])
         return np.where(np.isfinite(nearest), nearest, np.float32(0)).reshape(c.height, c.width)
 
+    def _enlarged(self, image: Image32) -> Image32:
+        v, u = (
+            np.indices((image.shape[0] * self._enlarge, image.shape[1] * self._enlarge)) + 0.5
+        ) / self._enlarge - 0.5
+        return sampled(image, u.astype(np.float32), v.astype(np.float32), smooth=self._coarse)
+
     def _rays(self, shape: tuple[int, int]) -> Image32:
         """(3, h, w) points at depth 1 of the depth camera, enlarged to (h, w) pixels, turned as the colour camera."""
         if self._turned is None or self._turned.shape[1:] != shape:
@@ -80,3 +92,24 @@ class Registration:
             turned = np.einsum("ij,jhw->ihw", self._R @ np.linalg.inv(self._K_depth), pixels)
             self._turned = turned.astype(np.float32)
         return self._turned
+
+
+def sampled(depth: Image32, map_u: Image32, map_v: Image32, *, smooth: bool) -> Image32:
+    """(H, W) metres at the places (map_u, map_v) of a depth image, 0 outside.
+
+    smooth: bilinear where the four pixels around are of one surface; else the nearest pixel, since a mean over a
+    depth edge is no surface.
+    """
+    nearest = np.asarray(cv2.remap(depth, map_u, map_v, cv2.INTER_NEAREST), dtype=np.float32)
+    if not smooth:
+        return nearest
+    square = np.ones((2, 2), np.uint8)  # each pixel with those right of it and below
+    low, high = (
+        grow(depth, square, anchor=(0, 0), borderType=cv2.BORDER_REPLICATE) for grow in (cv2.erode, cv2.dilate)
+    )
+    one_surface = ((low > 0) & (high < SURFACE * low)).astype(np.uint8)
+    u, v = np.floor(map_u), np.floor(map_v)
+    inside = (u >= 0) & (v >= 0) & (u < depth.shape[1] - 1) & (v < depth.shape[0] - 1)
+    agree = cv2.remap(one_surface, u, v, cv2.INTER_NEAREST) > 0
+    between = cv2.remap(depth, map_u, map_v, cv2.INTER_LINEAR)
+    return np.where(inside & agree, between, nearest)

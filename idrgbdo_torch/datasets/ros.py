@@ -20,6 +20,7 @@ from .calibration import Calibration, find_calibration
 from .pairing import pair_by_time, unpaired_warning
 from .recording import LOOK_AT, Options, Recording
 from .ros_images import DEPTH_HEADER, color_image, depth_image
+from .ros_topics import Topic, choose_topics
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -28,10 +29,6 @@ if TYPE_CHECKING:
 DEPTH_SCALE = 1000.0  # REP 118
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 INFO_TYPE = "sensor_msgs/msg/CameraInfo"
-REGISTERED = re.compile(r"aligned_depth_to_color|depth_registered|depth_to_rgb|registered")
-NO_COLOR = re.compile(r"depth|infra|(^|[/_])ir([/_]|$)|mask|label|segment|disparity|normal|confidence", re.IGNORECASE)
-COLORFUL = re.compile(r"rgb|colou?r", re.IGNORECASE)
-
 Stamp = tuple[float, int]  # s of the header, ns at which it was recorded
 
 # what rosbags raises for damaged content besides its own errors
@@ -53,7 +50,7 @@ def read(path: Path, options: Options) -> Recording:
     that cannot be read or lacks a topic.
     """
     bag = _Bag(path)
-    color, depth = bag.topic("color", options.color_topic), bag.topic("depth", options.depth_topic)
+    color, depth, ambiguous = bag.topics(options)
     of_color, of_depth = bag.stamps(color), bag.stamps(depth)
     frames = pair_by_time(of_color, of_depth, options.association_limit_s, path)
 
@@ -75,6 +72,7 @@ def read(path: Path, options: Options) -> Recording:
         calibration=bag.calibration(color.topic) if options.camera is None else find_calibration(path, options.camera),
         depth_scale=DEPTH_SCALE,
         warnings=(
+            *ambiguous,
             *unpaired_warning(of_color, of_depth, len(frames), options.association_limit_s),
             *((f"{bag.damaged} damaged images are left out",) if bag.damaged else ()),
             *(bag.frame_warnings(color, frames[0][1], depth, frames[0][2]) if options.camera is None else ()),
@@ -91,41 +89,15 @@ class _Bag:
         self.damaged = 0  # images that have not even a time
         weakref.finalize(self, self.reader.close)
 
-    def topic(self, kind: str, name: str | None) -> Connection:
-        """The connection of the named topic, or of the likeliest for "color" or "depth". Raises IdRgbdoError."""
+    def topics(self, options: Options) -> tuple[Connection, Connection, tuple[str, ...]]:
+        """The connections of colour and depth, and warnings. Raises IdRgbdoError where they cannot be told."""
         images = [c for c in self.reader.connections if c.msgtype in IMAGE_TYPES]
-        if name is not None:
-            found = [c for c in images if c.topic == name]
-        elif kind == "depth":
-            found = [c for c in images if "depth" in c.topic.lower()]
-            found.sort(key=lambda c: (not REGISTERED.search(c.topic), c.msgtype != IMAGE_TYPES[0], len(c.topic)))
-        else:
-            found = [c for c in images if not NO_COLOR.search(c.topic)]
-            found.sort(key=lambda c: (not COLORFUL.search(c.topic), c.msgtype != IMAGE_TYPES[0], len(c.topic)))
-        if name is None:
-            found = self._with_images(found)
-        if not found:
-            wanted = f"the topic '{name}'" if name else f"a {kind} topic"
-            there = ", ".join(sorted({c.topic for c in images})) or "none"
-            raise IdRgbdoError(
-                f"{self._path}: expected {wanted} with images, found these: {there}; name one with --{kind}-topic"
-            )
-        return found[0]
+        topics = [Topic(c.topic, c.msgtype == IMAGE_TYPES[0], self._filled(c), c) for c in images]
+        named = options.color_topic, options.depth_topic
+        color, depth, warnings = choose_topics(topics, *named, self._frame_id, str(self._path))
+        return color.connection, depth.connection, warnings
 
-    def _with_images(self, found: list[Connection]) -> list[Connection]:
-        """The topics without those that hold no message, or only empty ones (a plugin that could not compress).
-
-        Raises IdRgbdoError where none is left.
-        """
-        good = [c for c in found if c.msgcount and self._has_data(c)]
-        if found and not good:
-            empty = ", ".join(c.topic for c in found)
-            raise IdRgbdoError(
-                f"{self._path}: expected images, but the messages of {empty} are empty; record another topic"
-            )
-        return good
-
-    def _has_data(self, connection: Connection) -> bool:
+    def _filled(self, connection: Connection) -> bool:
         """Whether one of the first messages is more than a header; damage is for later to tell."""
         for _, data in islice(self._messages(connection), LOOK_AT):
             try:
@@ -134,6 +106,12 @@ class _Bag:
             except IdRgbdoError:
                 return True
         return False
+
+    def _frame_id(self, topic: Topic[Connection]) -> str:
+        """The frame that the header of the topic's first message names."""
+        for _, data in self._messages(topic.connection):
+            return str(self._decode(data, topic.connection).header.frame_id)
+        return ""
 
     def stamps(self, connection: Connection) -> list[tuple[float, Stamp]]:
         """The images of a topic by the time of their headers, or by that of their recording where headers have none.
@@ -178,12 +156,21 @@ class _Bag:
         )
 
     def frame_warnings(self, color: Connection, a: Stamp, depth: Connection, b: Stamp) -> tuple[str, ...]:
-        """A sentence where the two images say that they come from different cameras."""
+        """A sentence where the two images come from different cameras, by their headers or by their intrinsics."""
         of_color, of_depth = (self.message(c, s).header.frame_id for c, s in ((color, a), (depth, b)))
-        if of_color == of_depth or not of_color or not of_depth:
-            return ()
+        if of_color != of_depth and of_color and of_depth:
+            apart = f"colour is in the frame '{of_color}', depth in '{of_depth}'"
+        else:
+            try:
+                of_colors, of_depths = (self.calibration(c.topic) for c in (color, depth))
+            except IdRgbdoError:
+                return ()
+            K, k = ((c.fx, c.fy, c.cx, c.cy) for c in (of_colors, of_depths))
+            if np.allclose(K, k, rtol=0.01):
+                return ()
+            apart = f"the camera_info of depth says fx={k[0]:.1f}, cx={k[2]:.1f}, colour's fx={K[0]:.1f}, cx={K[2]:.1f}"
         return (
-            f"colour is in the frame '{of_color}', depth in '{of_depth}': if depth is not registered to colour, name a "
+            f"{apart}: if depth is not registered to colour, name a "
             "registered topic with --depth-topic, or describe the depth camera in a camera file under [depth]",
         )
 
@@ -240,13 +227,14 @@ def _calibration(info: Any, rectified: bool, where: str) -> Calibration:
     if rectified:
         camera = Calibration(P[0], P[5], P[2], P[6])
     else:
-        if any(D[5:]) or (any(D) and info.distortion_model not in ("plumb_bob", "rational_polynomial")):
+        if any(D[8:]) or (any(D) and info.distortion_model not in ("plumb_bob", "rational_polynomial")):
             raise IdRgbdoError(
-                f"{where}: expected the distortion model plumb_bob, got {info.distortion_model}; use rectified images, "
-                "or pass --camera F.toml with k1, k2, p1, p2, k3"
+                f"{where}: expected the distortion model plumb_bob or rational_polynomial of up to 8 coefficients, "
+                f"got {info.distortion_model} of {len(D)}; use rectified images, or pass --camera F.toml with k1, k2, "
+                "p1, p2, k3, k4, k5, k6"
             )
-        k1, k2, p1, p2, k3 = [*D, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
-        camera = Calibration(K[0], K[4], K[2], K[5], k1, k2, p1, p2, k3)
+        k1, k2, p1, p2, k3, k4, k5, k6 = [*D, *[0.0] * 8][:8]
+        camera = Calibration(K[0], K[4], K[2], K[5], k1, k2, p1, p2, k3, k4, k5, k6)
     if not (camera.fx > 0 and camera.fy > 0):
         raise IdRgbdoError(f"{where}: expected a calibrated camera, got fx={camera.fx:g}; pass --camera F.toml")
     return replace(camera, width=info.width or None, height=info.height or None)

@@ -13,6 +13,9 @@ from .pairing import missing_files, pair_by_time, reader, unpaired_warning
 from .recording import Options, Recording
 
 DEPTH_SCALE = 5000.0  # depth values per metre, TUM's
+ALIGNED_DEPTH_SCALE = 1000.0  # OpenLORIS's, which is a RealSense's
+COLOR_LISTS = ("rgb.txt", "color.txt")
+DEPTH_LISTS = ("aligned_depth.txt", "depth.txt")  # depth that is registered to colour first
 
 
 @dataclass(frozen=True)
@@ -31,23 +34,24 @@ class Listed:
 
 def recognise(path: Path) -> bool:
     """Whether one of the lists is there."""
-    return any((path / name).is_file() for name in ("rgb.txt", "depth.txt", "associations.txt"))
+    return any((path / name).is_file() for name in (*COLOR_LISTS, *DEPTH_LISTS, "associations.txt"))
 
 
 def read(folder: Path, options: Options) -> Recording:
     """Find the pairs, the camera and the reference. Raises IdRgbdoError for a folder that is not such a sequence."""
     associations = options.associations
-    if associations is None and not (folder / "rgb.txt").exists() and (folder / "associations.txt").exists():
+    if associations is None and _list(folder, COLOR_LISTS) is None and (folder / "associations.txt").exists():
         associations = folder / "associations.txt"
     listed = read_associations(associations) if associations else _find_pairs(folder, options.association_limit_s)
     truth = folder / "groundtruth.txt"
+    aligned = associations is None and (folder / DEPTH_LISTS[0]).exists()
     return Recording(
         name=folder.resolve().name,
-        title=f"TUM RGB-D layout{listed.said}",
+        title=f"TUM RGB-D layout{listed.said}{', aligned_depth.txt' if aligned else ''}",
         timestamps=[time for time, _, _ in listed.frames],
         read=reader([(color, depth) for _, color, depth in listed.frames]),
         calibration=find_calibration(folder, options.camera),
-        depth_scale=DEPTH_SCALE,
+        depth_scale=ALIGNED_DEPTH_SCALE if aligned else DEPTH_SCALE,
         groundtruth=read_tum(truth) if truth.exists() else None,
         warnings=(*listed.warnings, *missing_files([(color, depth) for _, color, depth in listed.frames])),
     )
@@ -67,16 +71,20 @@ def read_associations(path: Path) -> Listed:
 
 
 def _find_pairs(folder: Path, limit_s: float) -> Listed:
-    """Colour and depth of each frame, paired by time from rgb.txt and depth.txt."""
-    color_list, depth_list = folder / "rgb.txt", folder / "depth.txt"
-    for path in (color_list, depth_list):
-        if not path.exists():
-            raise IdRgbdoError(
-                f"sequence: expected the TUM layout, but '{folder}' has no {path.name}; write it, lines "
-                "`timestamp file`, or remove the other list to have the images paired by their names"
-            )
+    """Colour and depth of each frame, paired by time from the two lists."""
+    color_list, depth_list = _list(folder, COLOR_LISTS), _list(folder, DEPTH_LISTS)
+    if color_list is None or depth_list is None:
+        missing, there = ("rgb.txt", depth_list) if color_list is None else ("depth.txt", color_list)
+        raise IdRgbdoError(
+            f"sequence: expected the TUM layout, but '{folder}' has no {missing}; write it, lines `timestamp file`, or "
+            f"remove {there.name if there else 'the other list'} to have the images paired by their names"
+        )
     lists = read_list(color_list), read_list(depth_list)
     (color, of_color), (depth, of_depth) = (listed.by_time() for listed in lists)
     frames = pair_by_time(color, depth, limit_s, folder)
     unpaired = unpaired_warning(color, depth, len(frames), limit_s)
     return Listed(frames, lists[0].unit, (*of_color, *of_depth, *unpaired))
+
+
+def _list(folder: Path, names: tuple[str, ...]) -> Path | None:
+    return next((folder / name for name in names if (folder / name).exists()), None)

@@ -22,6 +22,8 @@ CANNY = (50, 200)  # gray levels (RGBDTAM)
 PLANE_RADIUS = 3  # px, neighbourhood that a point's inverse depth is fitted to
 BORDER = 4  # px, room for the patch and its gradients
 EVERYWHERE = 8  # px, side of a grid cell in mode "inf": as good as no grid, without patches on top of each other
+LEAST = 3  # px, the smallest
+ROWS = 15  # of such cells at least, which small images get by smaller ones
 
 
 def extract_candidates(frame: Frame, config: Config, rng: Generator, backend: Backend) -> tuple[Array, Array]:
@@ -40,8 +42,9 @@ def extract_candidates(frame: Frame, config: Config, rng: Generator, backend: Ba
     gradient2 = backend.gradient_squared(frame.images[0])
     thresholds = backend.block_thresholds(gradient2, BLOCK, THRESHOLD_OFFSET)
     edges = cv2.Canny(frame.images[0].astype(np.uint8), *CANNY, L2gradient=True)
-    grid = max(EVERYWHERE, round(float(np.sqrt(width * height / config.candidates))))
-    cell = EVERYWHERE if mode == "inf" else grid
+    everywhere = max(LEAST, min(EVERYWHERE, min(width, height) // ROWS))
+    grid = max(everywhere, round(float(np.sqrt(width * height / config.candidates))))
+    cell = everywhere if mode == "inf" else grid
     scores = backend.candidate_scores(gradient2, thresholds, BLOCK, edges, frame.depth)
     uv, inv_depth, _ = backend.grid_candidates(scores, frame.depth, cell, BORDER, PLANE_RADIUS, sigma)
     return uv, inv_depth

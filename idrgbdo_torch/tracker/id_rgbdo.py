@@ -24,7 +24,7 @@ from .mapping import NOTHING, Cloud, keyframe_cloud, together
 from .motion import Motion, turn_rate
 from .recovery import find_in_places, find_in_window
 from .reference import Reference
-from .selection import point_bits, select_points
+from .selection import point_bits, select_points, view_margin
 from .tracking import Pair, Tracked, motion_information
 from .verification import LIMITS, Verdict, unsure
 from .warmup import warm_up
@@ -119,7 +119,8 @@ class IdRgbdo:
         """The points to track: chosen anew when the view has moved by the margin that kept them inside the image."""
         if not self.config.selection.per_frame:
             return
-        if displacement(pair, reference.T_chosen, T_frame_kf) < self.config.selection.margin:
+        margin = view_margin(self.config.selection.margin, reference.keyframe.frame.camera)
+        if displacement(pair, reference.T_chosen, T_frame_kf) < margin:
             return
         reference.T_chosen = T_frame_kf
         reference.index = self._select(reference.keyframe, T_frame_kf, self.config.selection.points, prior, pair.noise)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..config import SelectionConfig
+from ..definitions.camera import Pinhole
 from ..definitions.selection import gain_bits
 from ..frame import Keyframe
 from ..measurement import Noise
@@ -17,6 +18,7 @@ from .backends import Backend
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+NARROW = 8  # margins in the shorter side of the image, at least
 ROUNDING = 1e-6  # px; candidates are whole pixels and may lie on the margin, where rounding must not decide
 
 
@@ -32,7 +34,7 @@ def select_points(
 ) -> Index:
     """At most m candidates of a keyframe for a frame at the pose T_frame_kf, by the configured mode."""
     everyone = np.arange(len(keyframe.points.uv))
-    margin = config.margin - ROUNDING
+    margin = view_margin(config.margin, keyframe.frame.camera) - ROUNDING
     rows = backend.whitened_rows(keyframe.frame.camera, margin, keyframe.points, everyone, T_frame_kf, noise)
     seen = rows.seen
     if config.mode == "rand":
@@ -41,6 +43,11 @@ def select_points(
     if config.mode == "grid":
         return strongest_of_cells(rows.where, seen, keyframe, m)
     return backend.select(rows, keyframe.radius, m, information, config)
+
+
+def view_margin(margin: float, camera: Pinhole) -> float:
+    """The margin in px, at most an eighth of the image's shorter side, so that small images keep most of their view."""
+    return min(margin, min(camera.width, camera.height) / NARROW)
 
 
 def strongest_of_cells(where: Array, seen: NDArray[np.bool_], keyframe: Keyframe, m: int) -> Index:

@@ -223,7 +223,7 @@ def test_an_absurd_depth_scale_is_a_warning(
     assert main(["run", str(folder), "--out", str(tmp_path / "out")]) == 0
     err = capsys.readouterr().err
     assert err.startswith("warning: depth scale 5000 makes the first frame's median depth 0.3 m")
-    assert "--depth-scale 1000" in err
+    assert "1.5 m with 1000 (millimetres): pass that of your camera with --depth-scale" in err
 
 
 def test_a_wrong_flag_names_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:

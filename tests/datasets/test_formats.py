@@ -347,7 +347,7 @@ def test_depth_may_be_floats_in_metres(tmp_path: Path) -> None:
 def test_a_wrong_depth_scale_is_noticed_in_any_format(tmp_path: Path) -> None:
     folder = images_only(tmp_path / "mine", ["0.png"])
     (warning,) = open_sequence(folder, depth_scale=5000).warnings
-    assert "0.3 m; --depth-scale 1000 is likely right" in warning
+    assert "0.3 m; the raw median 1500 is 1.5 m with 1000 (millimetres): pass that of your camera" in warning
 
 
 def test_an_unknown_folder_says_what_was_looked_for(tmp_path: Path) -> None:

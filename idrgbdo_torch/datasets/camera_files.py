@@ -1,0 +1,260 @@
+"""Calibrations as other programs write them, and as people write them down.
+
+TOML (ours), YAML (OpenCV, ROS camera_info, Kalibr, ORB-SLAM), JSON (Open3D, RealSense, Record3D, instant-ngp), plain
+numbers. They name the same things differently, so they are read by the names that any of them uses.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import IdRgbdoError
+from ..textfile import read_text
+from .yaml_text import parse_yaml
+
+MATRICES = (
+    "camera_matrix", "cameramatrix", "intrinsic_matrix", "intrinsicmatrix", "camera_intrinsics", "k", "m1", "m",
+    "intrinsics", "intrinsic", "projection_matrix",
+)  # fmt: skip
+DISTORTIONS = (
+    "distortion_coefficients", "distortion_coeffs", "distortioncoefficients", "dist_coeffs", "distcoeffs",
+    "distortion", "coeffs", "disto", "dist", "d", "d1",
+)  # fmt: skip
+SCALARS = {
+    "fx": ("fx", "fl_x", "focal_x", "fu"),
+    "fy": ("fy", "fl_y", "focal_y", "fv"),
+    "cx": ("cx", "ppx", "center_x", "pu"),
+    "cy": ("cy", "ppy", "center_y", "pv"),
+    "width": ("image_width", "width", "w", "imagewidth"),
+    "height": ("image_height", "height", "h", "imageheight"),
+    "depth_scale": ("depthmapfactor", "depth_map_factor", "depth_scale", "depth_factor", "png_depth_scale", "scale"),
+    "fps": ("fps", "rate_hz"),
+    **{name: (name,) for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")},
+}
+SIZE = ("width", "height")
+SIZES = ("resolution", "image_size", "imagesize", "size")
+ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # OpenCV's
+MODELS = ("distortion_model", "model", "camera_model", "type", "distortion_type")
+OTHER_LENSES = ("fisheye", "equidist", "kannala", "inverse", "omni", "fov", "ftheta", "f-theta", "eucm")
+REALSENSE_MODELS = {1: "modified_brown_conrady", 2: "inverse_brown_conrady", 3: "ftheta", 5: "kannala_brandt"}
+LEAST_SCALE = 50.0  # depth values per metre; what is called "scale" and is smaller is something else
+COLORFUL = ("color", "colour", "rgb")
+SUFFIXES = (".yaml", ".yml", ".json", ".txt")
+NAMES = ("camera", "calibration", "calib", "intrinsics", "intrinsic", "camera_info", "camera_intrinsics", "ost", "K")
+
+
+def usual_file(folder: Path) -> Path | None:
+    """A calibration under one of the usual names; None where there is none."""
+    files = (folder / f"{name}{suffix}" for name in NAMES for suffix in SUFFIXES)
+    record3d = folder / "metadata"
+    return next((path for path in files if path.is_file()), record3d if record3d.is_file() else None)
+
+
+def camera_values(path: Path) -> dict[str, Any]:
+    """What a calibration file says, under the names of Calibration's fields.
+
+    Raises IdRgbdoError for a file that cannot be read, holds no camera or several, or a lens of another kind.
+    """
+    try:
+        text = read_text(path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise IdRgbdoError(f"configuration: cannot read '{path}': {error}; pass an existing text file") from error
+    return _upright(_values(path, text, str(path)), str(path))
+
+
+def _values(path: Path, text: str, where: str) -> dict[str, Any]:
+    suffix = path.suffix.lower()
+    if suffix == ".toml":
+        return _toml(text, where)
+    if text.lstrip().startswith("{"):
+        return _camera(_json(text, where), where)
+    if suffix in (".yaml", ".yml") or text.startswith("%YAML"):
+        return _camera(parse_yaml(text, where), where)
+    if suffix in (".xml", ".json"):
+        raise IdRgbdoError(f"{where}: cameras are read from TOML, YAML, JSON and plain numbers; write {_lines()}")
+    return _numbers(text, where)
+
+
+def _toml(text: str, where: str) -> dict[str, Any]:
+    """Our own file. Capitals and numbers in quotes are forgiven."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        comma = "; decimals have a point, not a comma" if any(_comma(line) for line in text.splitlines()) else ""
+        raise IdRgbdoError(f"configuration: '{where}' is not TOML: {error}{comma}; correct it") from error
+    return _lower(data)
+
+
+def _lower(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys in small letters, numbers without quotes."""
+    keys = {key: "T_color_depth" if key.lower() == "t_color_depth" else key.lower() for key in data}
+    return {keys[k]: _lower(v) if isinstance(v, Mapping) else _number(v) for k, v in data.items()}
+
+
+def _upright(values: dict[str, Any], where: str) -> dict[str, Any]:
+    """The values. Raises IdRgbdoError for a camera whose axes do not point right and down."""
+    for key in ("fx", "fy"):
+        if isinstance(values.get(key), int | float) and values[key] < 0:
+            raise IdRgbdoError(
+                f"{where}: {key}: expected a focal length above 0, got {values[key]:g}; write {-values[key]:g} (some "
+                "data sets, such as ICL-NUIM, have a y axis that points up; here it points down)"
+            )
+    return values
+
+
+def _comma(line: str) -> bool:
+    _, equals, value = line.partition("=")
+    left, comma, right = value.strip().partition(",")
+    return bool(equals and comma) and left.strip().isdigit() and right.strip().isdigit()
+
+
+def _number(value: Any) -> Any:
+    """Text that is a number as that number."""
+    try:
+        return float(value) if isinstance(value, str) else value
+    except ValueError:
+        return value
+
+
+def _json(text: str, where: str) -> dict[str, Any]:
+    try:
+        data = json.loads(text)
+    except ValueError as error:
+        raise IdRgbdoError(f"{where}: expected JSON ({error}); correct it, or write {_lines()}") from error
+    return data if isinstance(data, dict) else {}
+
+
+def _camera(data: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """The camera in a mapping, or in the one of its parts that holds the colour camera."""
+    values = _read(data, where)
+    if "fx" in values:
+        return values
+    parts = {name: part for name, part in _parts(data) if "fx" in _read(part, where, strict=False)}
+    chosen = {name: part for name, part in parts.items() if _colorful(name, part)} or parts
+    if len(chosen) == 1:
+        return {**_outer(values), **_read(next(iter(chosen.values())), where)}
+    if chosen:
+        raise IdRgbdoError(
+            f"{where}: holds several cameras ({', '.join(chosen)}); write the colour camera's into a file of its own"
+        )
+    raise IdRgbdoError(f"{where}: expected a camera, found none of the names that are known; write {_lines()}")
+
+
+def _parts(data: Mapping[str, Any], depth: int = 0) -> list[tuple[str, Mapping[str, Any]]]:
+    """The mappings inside a mapping, two levels deep, the outer ones first."""
+    inner = [(name, part) for name, part in data.items() if isinstance(part, Mapping)]
+    below = [(f"{name}.{n}", p) for name, part in inner for n, p in _parts(part, depth + 1)] if depth < 1 else []
+    return inner + below
+
+
+def _colorful(name: str, part: Mapping[str, Any]) -> bool:
+    words = f"{name} {part.get('rostopic', '')}".lower()
+    return any(color in words for color in COLORFUL)
+
+
+def _outer(values: dict[str, Any]) -> dict[str, Any]:
+    """What stands around the camera and counts for it."""
+    return {key: value for key, value in values.items() if key in ("depth_scale", "fps", *SIZE)}
+
+
+def _read(data: Mapping[str, Any], where: str, strict: bool = True) -> dict[str, Any]:
+    """The values of one mapping, by whatever names they have there."""
+    # `Camera.fx` and `Camera1.fx` are ORB-SLAM's, `RGBD.DepthMapFactor` too
+    lower = {key.lower(): value for key, value in data.items() if not key.lower().startswith("camera2.")}
+    named = {key.rsplit(".", 1)[-1]: value for key, value in lower.items()}
+    values: dict[str, Any] = {}
+    for field, names in SCALARS.items():
+        number = next((_number(named[name]) for name in names if name in named), None)
+        if isinstance(number, int | float) and not isinstance(number, bool):
+            values[field] = float(number)
+    for name in MATRICES:
+        K = _list(named.get(name))
+        if "fx" not in values and (matrix := _intrinsics(K)) is not None:
+            values.update(zip(("fx", "fy", "cx", "cy"), matrix, strict=True))
+    scale = values.pop("depth_scale", 0.0)
+    if 0 < scale < 0.1:  # metres per value, as RealSense has it
+        whole = round(1.0 / scale)
+        values["depth_scale"] = float(whole) if abs(whole * scale - 1.0) < 1e-4 else 1.0 / scale
+    elif scale >= LEAST_SCALE or (scale == 1.0 and "scale" not in named):
+        values["depth_scale"] = scale
+    size = next((_list(named[name]) for name in SIZES if name in named), [])
+    if len(size) == 2:
+        values.update(width=size[0], height=size[1])
+    values.update({name: round(values[name]) for name in SIZE if name in values})
+    coefficients = next((found for name in DISTORTIONS if (found := _list(named.get(name)))), [])
+    if "fx" not in values:
+        return _outer(values)
+    if strict:
+        _check_lens(named, coefficients or [values.get(name, 0.0) for name in ORDER], where)
+    values.update(zip(ORDER, coefficients, strict=False))
+    return {key: value for key, value in values.items() if value > 0 or key not in ("depth_scale", "fps", *SIZE)}
+
+
+def _check_lens(named: Mapping[str, Any], coefficients: list[float], where: str) -> None:
+    """Raises IdRgbdoError for distortion that is not OpenCV's radial and tangential one."""
+    models = " ".join(str(named[name]) for name in MODELS if name in named).lower()
+    if "ppx" in named:
+        models = REALSENSE_MODELS.get(_number(named.get("model")), models)
+    if any(coefficients) and any(lens in models for lens in OTHER_LENSES):
+        raise IdRgbdoError(
+            f"{where}: expected radial and tangential distortion (plumb_bob, radtan, rational_polynomial), got "
+            f"'{models}'; rectify the images, then write {_lines()} of the rectified ones"
+        )
+    if "m1" in named and "m2" in named:
+        raise IdRgbdoError(f"{where}: holds two cameras (M1, M2); write {_lines()} of the colour camera")
+    if any(coefficients[len(ORDER) :]):
+        raise IdRgbdoError(
+            f"{where}: expected at most 8 distortion coefficients, got {len(coefficients)}; rectify the images, "
+            f"then write {_lines()} of the rectified ones"
+        )
+
+
+def _list(value: Any) -> list[float]:
+    """The numbers of a list, nested or not, or of {rows, cols, data}; empty for anything else."""
+    if isinstance(value, Mapping):
+        value = value.get("data")
+    try:
+        return [float(number) for number in np.asarray(value, dtype=np.float64).ravel()] if value is not None else []
+    except (TypeError, ValueError):
+        return []
+
+
+def _intrinsics(numbers: list[float]) -> tuple[float, float, float, float] | None:
+    """fx, fy, cx, cy of four numbers, or of a matrix of 3 or 4 rows, stored by rows or by columns; None for another."""
+    if len(numbers) == 4:
+        return numbers[0], numbers[1], numbers[2], numbers[3]
+    shape = {9: (3, 3), 12: (3, 4), 16: (4, 4)}.get(len(numbers))
+    if shape is None:
+        return None
+    K = np.reshape(numbers, shape)
+    if shape != (3, 4) and K[0, 2] == 0 and K[2, 0] != 0:
+        K = K.T
+    if K[0, 0] == 0 or tuple(K[2, :3]) != (0, 0, 1) or K[1, 0] != 0:
+        return None
+    return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+
+
+def _numbers(text: str, where: str) -> dict[str, Any]:
+    """fx fy cx cy [k1 k2 p1 p2 [k3 [k4 k5 k6]]], or a matrix of 3x3, 3x4 or 4x4."""
+    expected = "fx fy cx cy [k1 k2 p1 p2 [k3 [k4 k5 k6]]] in pixels, or a matrix"
+    try:
+        fields = " ".join(line.split("#")[0] for line in text.splitlines()).replace(",", " ").split()
+        numbers = [float(field) for field in fields]
+    except ValueError as error:
+        raise IdRgbdoError(f"{where}: expected {expected}, got text ({error}); correct it") from error
+    matrix = _intrinsics(numbers) if len(numbers) in (9, 12, 16) else None
+    if matrix is not None:
+        return dict(zip(("fx", "fy", "cx", "cy"), matrix, strict=True))
+    if len(numbers) not in (4, 8, 9, 12):
+        raise IdRgbdoError(f"{where}: expected {expected}, got {len(numbers)} numbers; correct it")
+    return dict(zip(("fx", "fy", "cx", "cy", *ORDER), numbers, strict=False))
+
+
+def _lines() -> str:
+    return "a camera.toml with `fx = ...`, `fy = ...`, `cx = ...`, `cy = ...`"

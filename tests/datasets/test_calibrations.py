@@ -1,0 +1,318 @@
+"""Calibrations as other programs write them are read, and which camera is taken is said."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from idrgbdo_torch.datasets import guess, open_sequence
+from idrgbdo_torch.datasets.calibration import Calibration, find_calibration
+from idrgbdo_torch.datasets.yaml_text import parse_yaml
+from idrgbdo_torch.errors import IdRgbdoError
+from idrgbdo_torch.frame import RgbdFrame
+
+K = (262.5, 263.5, 159.5, 119.25)
+MATRIX = "262.5, 0., 159.5, 0., 263.5, 119.25, 0., 0., 1."
+COLUMNS = [262.5, 0, 0, 0, 263.5, 0, 159.5, 119.25, 1]
+D5 = (0.1, -0.2, 0.001, 0.002, 0.05)
+REALSENSE = {"width": 320, "height": 240, "fx": 262.5, "fy": 263.5, "ppx": 159.5, "ppy": 119.25}
+
+FILES: dict[str, tuple[str, dict[str, object]]] = {
+    "orbslam.yaml": (
+        "%YAML:1.0\n\n# Camera\nCamera.fx: 262.5\nCamera.fy: 263.5\nCamera.cx: 159.5\nCamera.cy: 119.25\n"
+        "Camera.k1: 0.1\nCamera.k2: -0.2\nCamera.p1: 0.001\nCamera.p2: 0.002\nCamera.k3: 0.05\nCamera.width: 320\n"
+        "Camera.height: 240\nCamera.fps: 30.0\nCamera.RGB: 1\nDepthMapFactor: 5000.0\nViewer.ViewpointF: 500\n",
+        {"D": D5, "size": (320, 240), "depth_scale": 5000.0, "fps": 30.0},
+    ),
+    "orbslam3.yaml": (
+        '%YAML:1.0\nFile.version: "1.0"\nCamera.type: "PinHole"\nCamera1.fx: 262.5\nCamera1.fy: 263.5\n'
+        "Camera1.cx: 159.5\nCamera1.cy: 119.25\nCamera2.fx: 99.\nStereo.b: 0.07\nRGBD.DepthMapFactor: 1000.0\n",
+        {"depth_scale": 1000.0},
+    ),
+    "ost.yaml": (
+        "image_width: 320\nimage_height: 240\ncamera_name: narrow\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
+        f"  data: [{MATRIX}]\ndistortion_model: plumb_bob\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n"
+        "  data: [0.1, -0.2, 0.001, 0.002, 0.05]\nrectification_matrix:\n  rows: 3\n  cols: 3\n"
+        "  data: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nprojection_matrix:\n  rows: 3\n  cols: 4\n"
+        "  data: [200, 0, 150, 0, 0, 200, 110, 0, 0, 0, 1, 0]\n",
+        {"D": D5, "size": (320, 240)},
+    ),
+    "opencv.yml": (
+        '%YAML:1.0\n---\ncalibration_time: "Thu Nov 26 17:22:47 2026"\nimage_width: 320\nimage_height: 240\nflags: 0\n'
+        "camera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 2.625e+02, 0., 1.595e+02, 0.,\n"
+        "       2.635e+02, 1.1925e+02, 0., 0., 1. ]\ndistortion_coefficients: !!opencv-matrix\n   rows: 5\n   cols: 1\n"
+        "   dt: d\n   data: [ 0.1, -0.2, 0.001,\n       0.002, 0.05 ]\navg_reprojection_error: 0.3\n",
+        {"D": D5, "size": (320, 240)},
+    ),
+    "echo.yaml": (  # ros2 topic echo
+        "header:\n  stamp:\n    sec: 1\n    nanosec: 2\n  frame_id: camera\nheight: 240\nwidth: 320\n"
+        "distortion_model: rational_polynomial\nd:\n- 0.1\n- -0.2\n- 0.001\n- 0.002\n- 0.05\n- 0.3\n- 0.4\n- 0.5\n"
+        "k:\n- 262.5\n- 0.0\n- 159.5\n- 0.0\n- 263.5\n- 119.25\n- 0.0\n- 0.0\n- 1.0\nbinning_x: 0\n---\n",
+        {"D": (*D5, 0.3, 0.4, 0.5), "size": (320, 240)},
+    ),
+    "kalibr.yaml": (
+        "cam0:\n  cam_overlaps: []\n  camera_model: pinhole\n  distortion_coeffs: [0.1, -0.2, 0.001,\n    0.002]\n"
+        "  distortion_model: radtan\n  intrinsics: [262.5, 263.5, 159.5, 119.25]\n  resolution: [320, 240]\n"
+        "  rostopic: /camera/image\n  T_cam_imu:\n  - [0.0, 1.0, 0.0, 0.1]\n  - [1.0, 0.0, 0.0, 0.2]\n"
+        "  - [0.0, 0.0, -1.0, 0.3]\n  - [0.0, 0.0, 0.0, 1.0]\n",
+        {"D": D5[:4], "size": (320, 240)},
+    ),
+    "kalibr_two.yaml": (
+        "cam0:\n  camera_model: pinhole\n  intrinsics: [99, 99, 9, 9]\n  rostopic: /camera/infra1/image\n"
+        "cam1:\n  camera_model: pinhole\n  intrinsics: [262.5, 263.5, 159.5, 119.25]\n  rostopic: /camera/color/i\n",
+        {},
+    ),
+    "pyyaml.yaml": (  # PyYAML's default style
+        f"camera_matrix:\n- - 262.5\n  - 0.0\n  - 159.5\n- - 0.0\n  - 263.5\n  - 119.25\n- - 0.0\n  - 0.0\n  - 1.0\n"
+        f"dist_coeff: 0\ndist_coeffs:\n- - {D5[0]}\n  - {D5[1]}\n  - {D5[2]}\n  - {D5[3]}\n  - {D5[4]}\n",
+        {"D": D5},
+    ),
+    "flow.yaml": (f"camera_matrix: {{rows: 3, cols: 3, data: [{MATRIX}]}}\nsize: [320, 240]\n", {"size": (320, 240)}),
+    "open3d.json": (
+        json.dumps({"width": 320, "height": 240, "intrinsic_matrix": COLUMNS}),
+        {"size": (320, 240)},
+    ),
+    "realsense.json": (
+        json.dumps({**REALSENSE, "model": "distortion.inverse_brown_conrady", "coeffs": [0.0] * 5}),
+        {"size": (320, 240)},
+    ),
+    "realsense_streams.json": (
+        json.dumps({"depth_scale": 0.0002500000118743628, "depth": {**REALSENSE, "fx": 99.0},
+                    "color": {**REALSENSE, "model": "brown_conrady", "coeffs": list(D5)}}),
+        {"D": D5, "size": (320, 240), "depth_scale": 4000.0},
+    ),
+    "metadata": (  # Record3D
+        json.dumps({"w": 320, "h": 240, "dw": 192, "dh": 256, "K": COLUMNS, "fps": 60, "poses": [[0.0] * 7]}),
+        {"size": (320, 240), "fps": 60.0},
+    ),
+    "transforms.json": (  # instant-ngp
+        json.dumps({"fl_x": 262.5, "fl_y": 263.5, "cx": 159.5, "cy": 119.25, "w": 320, "h": 240, "scale": 0.33,
+                    "k1": 0.1, "k2": -0.2, "p1": 0.001, "p2": 0.002, "frames": []}),
+        {"D": D5[:4], "size": (320, 240)},
+    ),
+    "cam_params.json": (  # Replica
+        json.dumps({"camera": {"w": 320, "h": 240, **dict(zip(("fx", "fy", "cx", "cy"), K, strict=True)),
+                               "scale": 6553.5}}),
+        {"size": (320, 240), "depth_scale": 6553.5},
+    ),
+    "rows.json": (json.dumps({"K": [[262.5, 0, 159.5], [0, 263.5, 119.25], [0, 0, 1]]}), {}),
+    "calib.txt": ("262.5 263.5 159.5 119.25\n", {}),
+    "calib8.txt": ("262.5, 263.5, 159.5, 119.25, 0.1 -0.2 0.001 0.002  # radial, tangential\n", {"D": D5[:4]}),
+    "calib12.txt": ("262.5 263.5 159.5 119.25 0.1 -0.2 0.001 0.002 0.05 1 2 3", {"D": (*D5, 1, 2, 3)}),
+    "K.txt": ("262.5 0 159.5\n0 263.5 119.25\n0 0 1\n", {}),
+    "K4.txt": ("262.5 0 159.5 0\n0 263.5 119.25 0\n0 0 1 0\n0 0 0 1\n", {}),
+    "P.txt": ("262.5 0 159.5 0\n0 263.5 119.25 0\n0 0 1 0\n", {}),
+    "bom.toml": ("\ufefffx = 262.5\r\nfy = 263.5\r\ncx = 159.5\r\ncy = 119.25\r\n", {}),
+    "text.toml": ('fx = "262.5"\nfy = 263.5\ncx = 159.5\ncy = 119.25\n', {}),
+    "caps.toml": ("FX = 262.5\nFY = 263.5\nCX = 159.5\nCY = 119.25\nK4 = 0.5\n", {"D": (0, 0, 0, 0, 0, 0.5)}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_camera_is_read_from(name: str, tmp_path: Path) -> None:
+    text, more = FILES[name]
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    camera = find_calibration(tmp_path, path)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == K
+    D = more.get("D", ())
+    assert isinstance(D, tuple)
+    assert camera.distortion == (*D, *[0.0] * (8 - len(D)))
+    assert (camera.width, camera.height) == more.get("size", (None, None))
+    assert camera.depth_scale == more.get("depth_scale")
+    assert camera.fps == more.get("fps")
+
+
+def test_opencvs_own_writer(tmp_path: Path) -> None:
+    matrix = np.array([[262.5, 0, 159.5], [0, 263.5, 119.25], [0, 0, 1]])
+    for name in ("a.yaml", "a.yml"):
+        storage = cv2.FileStorage(str(tmp_path / name), cv2.FILE_STORAGE_WRITE)
+        storage.write("camera_matrix", matrix)
+        storage.write("dist_coeffs", np.array([[0.1, -0.2, 0.001, 0.002, 0.05]]))
+        storage.release()
+        camera = find_calibration(tmp_path, tmp_path / name)
+        assert (camera.fx, camera.fy, camera.cx, camera.cy) == K
+        assert camera.distortion[:5] == D5
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "complaint"),
+    [
+        ("a.toml", "fx = 262,5\nfy = 1\n", "is not TOML: .* decimals have a point, not a comma"),
+        (
+            "a.toml",
+            "fx = 262.5\nfy = -262.5\ncx = 1\ncy = 1\n",
+            "fy: expected a focal length above 0, got -262.5; write 262",
+        ),
+        ("a.yaml", "Camera.fx: 1\nCamera.fy: -1\nCamera.cx: 2\nCamera.cy: 2\n", "a y axis that points up"),
+        ("a.json", '{"depth": 1}', "found none of the names .* write a camera.toml with `fx"),
+        ("a.json", "{", "expected JSON"),
+        ("a.yaml", "just text\n", "expected `key: value`, got 'just text'"),
+        ("a.yaml", "k: [1, 2\n", "a list in brackets has no end"),
+        ("a.txt", "1 2 3", "got 3 numbers"),
+        ("a.xml", "<opencv_storage/>", "cameras are read from TOML, YAML, JSON and plain numbers"),
+        (
+            "a.yaml",
+            "cam0:\n  intrinsics: [1, 1, 2, 2]\n  distortion_model: equidistant\n  distortion_coeffs: [0.1, 0, 0, 0]\n",
+            "expected radial and tangential distortion .* got 'equidistant'; rectify the images",
+        ),
+        (
+            "a.yaml",
+            "cam0:\n  intrinsics: [1, 1, 2, 2]\ncam1:\n  intrinsics: [1, 1, 2, 2]\n",
+            r"several cameras \(cam0, cam1\); write the colour camera's",
+        ),
+        ("a.json", json.dumps({**REALSENSE, "model": 2, "coeffs": [0.1] * 5}), "got 'inverse_brown_conrady'"),
+        ("a.yaml", f"M1:\n  data: [{MATRIX}]\nM2:\n  data: [{MATRIX}]\n", "holds two cameras"),
+    ],
+)
+def test_what_is_no_camera_is_answered_with_what_to_write(name: str, text: str, complaint: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(IdRgbdoError, match=complaint) as caught:
+        find_calibration(tmp_path, tmp_path / name)
+    assert "\n" not in str(caught.value)
+
+
+def test_yaml_as_calibrations_have_it() -> None:
+    text = "a: 1 # one\nb:\n  c: [1, [2, 3]]\n  d:\n  - x: 1\n    y: two\n  - x: 3\nempty:\nquoted: 'a: b'\n"
+    assert parse_yaml(text, "") == {
+        "a": 1.0,
+        "b": {"c": [1.0, [2.0, 3.0]], "d": [{"x": 1.0, "y": "two"}, {"x": 3.0}]},
+        "empty": "",
+        "quoted": "a: b",
+    }
+
+
+def images(folder: Path, size: tuple[int, int] = (320, 240), depth: str = "depth") -> Path:
+    """Two frames, numbered, of depth 1.5 m in millimetres in the folder `depth`, 2.5 m in any other."""
+    for number in range(2):
+        shutil.rmtree(folder / "x", ignore_errors=True)
+        for name in ("color", depth):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        color = np.random.default_rng(number).integers(0, 256, (size[1], size[0], 3), np.uint8)
+        cv2.imwrite(str(folder / "color" / f"{number}.png"), color)
+        value = 1500 if depth == "depth" else 2500
+        cv2.imwrite(str(folder / depth / f"{number}.png"), np.full(size[::-1], value, np.uint16))
+    return folder
+
+
+@pytest.mark.parametrize("name", ["camera.yaml", "calibration.json", "intrinsics.txt", "metadata"])
+def test_a_calibration_in_the_folder_is_found_and_said(name: str, tmp_path: Path) -> None:
+    folder = images(tmp_path / "mine")
+    content = {".yaml": "ost.yaml", ".json": "realsense.json", ".txt": "K.txt", "": "metadata"}[Path(name).suffix]
+    (folder / name).write_text(FILES[content][0])
+    sequence = open_sequence(folder)
+    assert sequence.camera.fx == 262.5
+    assert sequence.recognised.endswith(f", camera of {name}")
+    (folder / "camera.toml").write_text("fx = 1\nfy = 1\ncx = 159.5\ncy = 119.5\n")
+    assert open_sequence(folder).camera.fx == 1  # the one for this program goes first
+
+
+def test_an_unknown_name_is_hinted_at(tmp_path: Path) -> None:
+    folder = images(tmp_path / "mine")
+    (folder / "left_arm.yaml").write_text(FILES["ost.yaml"][0])
+    with pytest.raises(IdRgbdoError, match=r"unknown intrinsics .* is it in left_arm\.yaml\?"):
+        open_sequence(folder)
+
+
+def test_intrinsics_of_another_size_are_a_warning_with_the_lines_to_write(tmp_path: Path) -> None:
+    folder = images(tmp_path / "mine")
+    for text, part in (
+        (
+            "fx = 525\nfy = 525\ncx = 319.5\ncy = 239.5\n",
+            "from 640x480, write `fx = 262.5`, `fy = 262.5`, `cx = 159.5`",
+        ),
+        ("fx = 131\nfy = 131\ncx = 79.5\ncy = 59.5\n", "from 160x120, write `fx = 262`"),
+        ("fx = 262\nfy = 262\ncx = 119.5\ncy = 159.5\n", "give the intrinsics of these images"),
+    ):
+        (folder / "camera.toml").write_text(text)
+        (warning,) = open_sequence(folder).warnings
+        assert "is far from the middle of images of 320x240" in warning
+        assert part in warning
+    (folder / "camera.toml").write_text("fx = 917\nfy = 917\ncx = 639.5\ncy = 359.5\n")
+    with pytest.raises(IdRgbdoError, match="inside the images of 320x240"):
+        open_sequence(folder)
+    (folder / "camera.toml").write_text("fx = 917\nfy = 917\ncx = 640\ncy = 480\nwidth = 1280\nheight = 960\n")
+    with pytest.raises(IdRgbdoError, match=r"calibrated for 1280x960, .* write `fx = 229\.25`"):
+        open_sequence(folder)
+    (folder / "camera.toml").write_text("fx = 525\nfy = 525\ncx = 170\ncy = 110\n")  # as cameras are
+    assert open_sequence(folder).warnings == []
+
+
+def associations(folder: Path) -> Path:
+    """Numbered pairs, as people write them for other programs."""
+    (folder / "associations.txt").write_text("1 color/0.png 1 depth/0.png\n2 color/1.png 2 depth/1.png\n")
+    return folder
+
+
+def test_numbered_pairs_alone_are_not_icl_nuim(tmp_path: Path) -> None:
+    folder = associations(images(tmp_path / "mine", (640, 480)))
+    assert guess(folder) == "tum"
+    with pytest.raises(IdRgbdoError, match="unknown intrinsics"):
+        open_sequence(folder)
+    (folder / "living_room_traj2.gt.freiburg").write_text("1 0 0 0 0 0 0 1\n")
+    assert guess(folder) == "icl_nuim"
+    named = associations(images(tmp_path / "living_room_traj2_frei_png", (640, 480)))
+    assert open_sequence(named).recognised.endswith("camera of ICL-NUIM")
+    assert open_sequence(named).camera.fx == 481.2
+    small = associations(images(tmp_path / "lr_kt1", (320, 240)))
+    with pytest.raises(IdRgbdoError, match=r"camera of ICL-NUIM: calibrated for 640x480, but the images are 320x240"):
+        open_sequence(small)
+
+
+def test_freiburgs_cameras_are_said_and_checked_against_the_images(tmp_path: Path) -> None:
+    sequence = open_sequence(images(tmp_path / "rgbd_dataset_freiburg2_mine", (640, 480)))
+    assert sequence.recognised.endswith("camera of TUM freiburg2, by the folder's name")
+    with pytest.raises(IdRgbdoError, match=r"TUM freiburg1, by the folder's name: calibrated for 640x480"):
+        open_sequence(images(tmp_path / "my_fr1_test", (320, 240)))
+    with pytest.raises(IdRgbdoError, match="unknown intrinsics"):
+        open_sequence(images(tmp_path / "fr12", (640, 480)))
+    with pytest.raises(IdRgbdoError, match="unknown intrinsics"):
+        open_sequence(images(tmp_path / "wafr1", (640, 480)))
+
+
+@pytest.mark.parametrize("lists", [True, False])
+@pytest.mark.parametrize("unregistered", [True, False])
+def test_aligned_depth_goes_before_depth(tmp_path: Path, lists: bool, unregistered: bool) -> None:
+    """As OpenLORIS has it: color.txt, aligned_depth.txt, depth.txt."""
+    folder = images(tmp_path / "cafe", depth="aligned_depth")
+    kinds = ["color", "aligned_depth", *(["depth"] if unregistered else [])]
+    if unregistered:
+        images(folder)
+    if lists:
+        for kind in kinds:
+            lines = [f"{1560000083 + number / 30:.6f} {kind}/{number}.png" for number in range(2)]
+            (folder / f"{kind}.txt").write_text("#Time Path\n" + "\n".join(lines) + "\n")
+    (folder / "camera.toml").write_text("fx = 262\nfy = 262\ncx = 159.5\ncy = 119.5\n")
+    sequence = open_sequence(folder)
+    assert "aligned_depth" in sequence.recognised
+    frame = sequence.read(0)
+    assert isinstance(frame, RgbdFrame)
+    assert float(frame.depth.median()) == 2.5
+    assert sequence.warnings == []
+
+
+def test_color_txt_is_a_list(tmp_path: Path) -> None:
+    folder = images(tmp_path / "mine")
+    for kind in ("color", "depth"):
+        (folder / f"{kind}.txt").write_text(f"10.5 {kind}/1.png\n10.25 {kind}/0.png\n")
+    (folder / "camera.toml").write_text("fx = 262\nfy = 262\ncx = 159.5\ncy = 119.5\ndepth_scale = 1000\n")
+    sequence = open_sequence(folder)
+    assert (guess(folder), sequence.timestamps) == ("tum", [10.25, 10.5])
+    (folder / "color.txt").unlink()
+    with pytest.raises(IdRgbdoError, match=r"has no rgb\.txt; write it.* or remove depth\.txt"):
+        open_sequence(folder)
+
+
+def test_a_camera_of_the_usual_kind_is_not_doubted() -> None:
+    for camera, size in (
+        (Calibration(517.3, 516.5, 318.6, 255.3), (640, 480)),
+        (Calibration(601.3, 601.0, 638.3, 367.0), (1280, 720)),
+        (Calibration(1404.3, 1404.3, 724.6, 963.8), (1440, 1920)),
+        (Calibration(262.5, 262.5, 79.5, 59.5), (161, 121)),
+    ):
+        assert camera.size_doubt(*size) == ""
