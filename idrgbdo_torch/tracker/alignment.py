@@ -21,6 +21,7 @@ QUICK_LEVELS = 3  # of the pyramid, for a frame that is where it was expected
 QUICK_POINTS = 128  # coarse points that it takes; with fewer the whole patches cost little
 QUICK_STRIDE = 2  # of the coarse points, every second one
 QUICK_PIXELS = 1  # of a coarse point's patch, likewise
+NEAR_LEVELS = 3  # for a start within some pixels: views far apart are alike in detail, but not in the large
 EXPECTED_PX = 2.0  # mean distance in the image between the predicted and the measured pose of such a frame
 NOTHING = (
     Tracked(np.eye(4), np.zeros(2), np.zeros((6, 6)), 0, 0, np.zeros(0, np.int64), np.zeros(0)),
@@ -68,11 +69,13 @@ def displacement(pair: Pair, T_a: Array, T_b: Array) -> float:
 def recover_by_features(pair: Pair, affine: Array, index: Index) -> tuple[Tracked, Verdict]:
     """recover() from where the features of frame and keyframe say: for views far apart, where no prediction holds."""
     guess = start_from_features(pair.frame, pair.keyframe.frame)
-    return recover(pair, [] if guess is None else [guess], affine, index)
+    return recover(pair, [] if guess is None else [guess, guess], affine, index, (NEAR_LEVELS, LEVELS))
 
 
-def recover(pair: Pair, guesses: Sequence[Array], affine: Array, index: Index) -> tuple[Tracked, Verdict]:
-    """Try again from each guess of T_frame_kf with all candidates and the widest pyramid, no prior; the best one.
+def recover(
+    pair: Pair, guesses: Sequence[Array], affine: Array, index: Index, levels: Sequence[int] = (LEVELS, LEVELS)
+) -> tuple[Tracked, Verdict]:
+    """Try again from each guess of T_frame_kf with all candidates on so many levels, no prior; the best one.
 
     The finest level keeps the chosen points `index`. Without a guess nothing is found.
     """
@@ -80,8 +83,8 @@ def recover(pair: Pair, guesses: Sequence[Array], affine: Array, index: Index) -
     points = pair.keyframe.points
     everyone = Subset(np.arange(len(points.uv)), points.patch.shape[2])
     tried = [NOTHING]
-    for guess in guesses:
-        tracked = track_frame(pair, State(guess, affine), index, everyone, FREE, LEVELS)
+    for guess, count in zip(guesses, levels, strict=False):
+        tracked = track_frame(pair, State(guess, affine), index, everyone, FREE, count)
         tried.append((tracked, verify(pair, tracked)))
         if not tried[-1][1].doubt(LIMITS.weak):
             break

@@ -18,12 +18,12 @@ from ..frame import Frame
 Array = NDArray[np.float64]
 
 FULL, HALF = 0, 1  # levels of the pyramid
-COUNT = {FULL: 2000, HALF: 500}  # features of an image
-THRESHOLD = 5  # gray levels, of a corner: half-size levels are smooth, and so is motion blur
-RATIO = 0.85  # of the best to the second-best match (Lowe)
+COUNT = {FULL: 1500, HALF: 500}  # features of an image
+THRESHOLD = 7  # gray levels, of a corner: half-size levels are smooth, and so is motion blur
+RATIO = 0.8  # of the best to the second-best match (Lowe)
 FEWEST = 12  # matches with depth that are worth a try, and that must agree with a pose
 REPROJECTION_PX = 3.0  # of a match that agrees, on that level
-TRIES = 200  # samples of RANSAC at most
+TRIES = 1000  # samples of RANSAC at most
 SURE = 0.999  # after which it stops
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..frame import Keyframe
 from ..measurement import LEVELS, State, Subset
-from .alignment import FREE
+from .alignment import FREE, NEAR_LEVELS
 from .features import HALF, features, pose_from_features
 from .places import Place, nearest_first
 from .tracking import Pair, Tracked, track_frame
@@ -36,11 +36,11 @@ class Found:
         return self.tracked.T_frame_kf
 
 
-def aligned(pair: Pair, T_frame_kf: Array) -> tuple[Tracked, Verdict]:
-    """Align a frame to a keyframe's spread-out points on the widest pyramid, with nothing held."""
+def aligned(pair: Pair, T_frame_kf: Array, levels: int) -> tuple[Tracked, Verdict]:
+    """Align a frame to a keyframe's spread-out points on so many levels, with nothing held."""
     points, coarse = pair.keyframe.points, pair.keyframe.coarse
     subset = Subset(coarse, points.patch.shape[2])
-    tracked = track_frame(pair, State(T_frame_kf, np.zeros(2)), coarse, subset, FREE, LEVELS)
+    tracked = track_frame(pair, State(T_frame_kf, np.zeros(2)), coarse, subset, FREE, levels)
     return tracked, verify(pair, tracked)
 
 
@@ -50,7 +50,7 @@ def find_in_window(pair: Pair, T_cam_world: Array, window: dict[int, tuple[Keyfr
     for k in nearest_first(T_cam_world, [window[number][1] for number in numbers])[:NEIGHBOURS]:
         keyframe, T_kf_world = window[numbers[k]]
         guess = T_cam_world @ np.linalg.inv(T_kf_world)
-        tracked, verdict = aligned(replace(pair, keyframe=keyframe), guess)
+        tracked, verdict = aligned(replace(pair, keyframe=keyframe), guess, LEVELS)
         if believed(verdict):
             return Found(numbers[k], tracked, verdict)
     return None
@@ -65,7 +65,7 @@ def find_in_places(pair: Pair, places: Sequence[Place]) -> Found | None:
         guess = pose_from_features(place.features, seen, pair.frame.intrinsics[HALF])
         if guess is None:
             continue
-        tracked, verdict = aligned(replace(pair, keyframe=place.keyframe), guess)
+        tracked, verdict = aligned(replace(pair, keyframe=place.keyframe), guess, NEAR_LEVELS)
         if believed(verdict):
             return Found(place.number, tracked, verdict)
     return None

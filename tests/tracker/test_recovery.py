@@ -135,7 +135,7 @@ def test_a_place_needs_no_images_to_be_aligned_to(desk: Film) -> None:
     assert len(place.points.uv) == len(np.union1d(whole.coarse, whole.witnesses))
     assert sum(image.nbytes for image in place.frame.images) < 100
     pair = Pair(prepare(desk.frames[3]), place, odometry.noise, odometry.backend)
-    tracked, verdict = aligned(pair, np.eye(4))
+    tracked, verdict = aligned(pair, np.eye(4), 3)
     assert verdict.bright > 0.95
     assert float((torch.from_numpy(tracked.T_frame_kf) @ se3.inverse(desk.T(3, 0)))[:3, 3].norm()) < 0.002
 
