@@ -28,8 +28,8 @@ class Inspected(ConstantVelocity):
     def window_keyframes(self) -> dict[int, tuple[Keyframe, np.ndarray]]:
         return {}
 
-    def map(self) -> Cloud:
-        return NOTHING
+    def maps(self) -> dict[int, Cloud]:
+        return {0: NOTHING}
 
 
 assert isinstance(Inspected(), Inspectable)

@@ -24,6 +24,7 @@ RATIO = 0.8  # of the best to the second-best match (Lowe)
 FEWEST = 12  # matches with depth that are worth a try, and that must agree with a pose
 REPROJECTION_PX = 3.0  # of a match that agrees, on that level
 TRIES = 1000  # samples of RANSAC at most
+MOST_TURNED = np.pi / 3  # rad, between two views that overlap; a mirrored or rolled image fits at more
 SURE = 0.999  # after which it stops
 
 
@@ -38,7 +39,7 @@ class Features:
 
 def features(frame: Frame, level: int) -> Features:
     """The features of a frame on a level, always the same ones."""
-    image = frame.images[level].clip(0.0, 255.0).astype(np.uint8)
+    image = np.nan_to_num(frame.images[level]).clip(0.0, 255.0).astype(np.uint8)
     detector = cv2.ORB.create(nfeatures=COUNT[level], fastThreshold=THRESHOLD)
     keypoints, descriptor = detector.detectAndCompute(image, None)
     if not keypoints:
@@ -92,7 +93,8 @@ def pose_from_features(host: Features, target: Features, camera: Array) -> Array
     T = np.eye(4)
     T[:3, :3] = cv2.Rodrigues(rvec)[0]
     T[:3, 3] = t[:, 0]
-    return T if np.isfinite(T).all() else None
+    turned = float(np.linalg.norm(rvec))
+    return T if np.isfinite(T).all() and turned < MOST_TURNED else None
 
 
 def start_from_features(frame: Frame, keyframe: Frame) -> Array | None:

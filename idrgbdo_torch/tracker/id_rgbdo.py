@@ -24,6 +24,7 @@ from .mapping import NOTHING, Cloud, keyframe_cloud, together
 from .motion import Motion, turn_rate
 from .recovery import find_in_places, find_in_window
 from .reference import Reference
+from .results import held, measured
 from .selection import point_bits, select_points, view_margin
 from .tracking import Pair, Tracked, motion_information
 from .verification import LIMITS, Verdict, unsure
@@ -69,7 +70,7 @@ class IdRgbdo:
         if self.reference is None:
             return self._start_segment(frame, "too few points with depth and texture to start from")
         tracked, verdict = self._align(frame, self.reference)
-        if verdict.doubt(LIMITS.weak) and self._late_keyframe():
+        if verdict.doubt(LIMITS.weak) and self._late_keyframe(frame, verdict):
             tracked, verdict = self._align(frame, self.reference)
         reference, motion = self.reference, self.motion
         if reason := verdict.doubt(LIMITS.lost):
@@ -82,7 +83,11 @@ class IdRgbdo:
         reference.affine = tracked.affine
         motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame, 0.0 if self.lost_in_a_row else dt)
         self.lost_in_a_row = 0
-        result = self._measured(frame, reference, tracked, Status.WEAK if reason else Status.OK, reason)
+        self.history.add_frame(frame.timestamp, tracked.T_frame_kf)
+        self.last = (reference.keyframe, tracked)
+        result = measured(
+            motion.T_cam_world, tracked, self.history.keyframe_times[-1], reason, self.history.segment, entropies
+        )
         if wants_keyframe(reference.entropies, self.config.keyframe) and self._new_keyframe(frame):
             result = replace(result, keyframe=True, T_world_cam=torch.from_numpy(inverse(motion.T_cam_world)))
             return self._joined(frame, result) if self.history.segment > 0 else result
@@ -104,16 +109,26 @@ class IdRgbdo:
         return tracked, verdict
 
     def _pair(self, frame: Frame, reference: Reference) -> Pair:
-        turn, config = self.motion.turn, self.config.noise
-        noise = with_blur(self.noise, config, frame.camera.fx, turn, reference.turn)
+        noise = with_blur(self.noise, self.config.noise, frame.camera.fx, self.motion.turn, reference.turn)
         return Pair(frame, reference.keyframe, noise, self.backend)
 
-    def _late_keyframe(self) -> bool:
-        """Make a keyframe of the frame before, which shares most with the present one; False where that cannot be."""
-        last = self.motion.frame
-        if last is None or self.lost_in_a_row or last.timestamp == self.history.keyframe_times[-1]:
+    def _late_keyframe(self, frame: Frame, verdict: Verdict) -> bool:
+        """Make a keyframe of the frame before, which shares most with this one, if that explains this one better."""
+        last, turn = self.motion.frame, self.motion.turn
+        if last is None or last.timestamp == self.history.keyframe_times[-1]:
             return False
-        return self._new_keyframe(last)
+        keyframe = make_keyframe(last, self.config, self.rng, self.backend)
+        if len(keyframe.points.uv) < FEWEST_CANDIDATES:
+            return False
+        prior = motion_information(self.config, KEYFRAME_GAP)
+        index = self._select(keyframe, np.eye(4), self.config.selection.points, prior, self.noise)
+        self.motion.turn = self.motion.frame_turn
+        _, other = self._align(frame, Reference(keyframe, self.motion.T_cam_world, self.motion.turn, index))
+        helps = other.score > verdict.score and not other.doubt(LIMITS.weak)
+        self.motion.turn = self.motion.frame_turn if helps else turn
+        if helps:
+            self._adopt(keyframe, self.history.T_cam_kf[-1])
+        return helps
 
     def _choose(self, reference: Reference, pair: Pair, T_frame_kf: Array, prior: Array) -> None:
         """The points to track: chosen anew when the view has moved by the margin that kept them inside the image."""
@@ -200,7 +215,7 @@ class IdRgbdo:
         keyframe = make_keyframe(frame, self.config, self.rng, self.backend)
         if len(keyframe.points.uv) < FEWEST_CANDIDATES:
             return None
-        history, time = self.history, frame.timestamp
+        history = self.history
         if found.number not in window:
             self._leave_window()
         self.motion.move(found.tracked.T_frame_kf @ history.keyframe_poses[found.number], frame, 0.0)
@@ -208,19 +223,10 @@ class IdRgbdo:
         self.reference, self.lost_in_a_row, self.last = None, 0, None
         history.segment = history.segments[found.number]
         self._adopt(keyframe)
-        history.add_frame(time, np.eye(4))
-        return TrackResult(
-            T_world_cam=torch.from_numpy(inverse(self.motion.T_cam_world)),
-            status=Status.WEAK,
-            reason=f"found again in the keyframe of {history.keyframe_times[found.number]:.3f} s",
-            reference_time=history.keyframe_times[found.number],
-            T_ref_cam=torch.from_numpy(inverse(found.tracked.T_frame_kf)),
-            information=torch.from_numpy(found.tracked.information),
-            keyframe=True,
-            points=found.tracked.points,
-            iterations=found.tracked.iterations,
-            segment=history.segment,
-        )
+        history.add_frame(frame.timestamp, np.eye(4))
+        time = history.keyframe_times[found.number]
+        reason = f"found again in the keyframe of {time:.3f} s"
+        return replace(measured(self.motion.T_cam_world, found.tracked, time, reason, history.segment), keyframe=True)
 
     def _joined(self, frame: Frame, result: TrackResult) -> TrackResult:
         """Look for a new keyframe in the places of earlier segments; where it is found, the present one joins them."""
@@ -251,32 +257,12 @@ class IdRgbdo:
         self.motion.lose()
         return self._held(frame, Status.LOST, reason)
 
-    def _measured(
-        self, frame: Frame, reference: Reference, tracked: Tracked, status: Status, reason: str
-    ) -> TrackResult:
-        """The result of a frame that was tracked; it joins the history."""
-        self.history.add_frame(frame.timestamp, tracked.T_frame_kf)
-        self.last = (reference.keyframe, tracked)
-        return TrackResult(
-            T_world_cam=torch.from_numpy(inverse(self.motion.T_cam_world)),
-            status=status,
-            reason=reason,
-            reference_time=self.history.keyframe_times[-1],
-            T_ref_cam=torch.from_numpy(inverse(tracked.T_frame_kf)),
-            information=torch.from_numpy(tracked.information),
-            points=tracked.points,
-            iterations=tracked.iterations,
-            entropy_bits=tuple(reference.entropies[-1].tolist()),
-            segment=self.history.segment,
-        )
-
     def _held(self, frame: Frame, status: Status, reason: str) -> TrackResult:
-        """The result of a frame that stays at the last pose; it joins the history."""
+        """A frame stays at the last pose, and joins the history there."""
         T_kf_world = self.motion.T_cam_world if self.reference is None else self.reference.T_kf_world
         self.history.add_frame(frame.timestamp, self.motion.T_cam_world @ inverse(T_kf_world))
         self.last = None
-        pose = torch.from_numpy(inverse(self.motion.T_cam_world))
-        return TrackResult(T_world_cam=pose, status=status, reason=reason, segment=self.history.segment)
+        return held(self.motion.T_cam_world, status, reason, self.history.segment)
 
     def trajectory(self) -> Trajectory:
         """Every frame's pose by all that is known now, the frames after it included."""
@@ -313,8 +299,7 @@ class IdRgbdo:
     def last_candidates(self) -> Tensor:
         """(M, 2) px of the candidates that the last frame sees: those it could have been tracked with, else its own."""
         if self.last is not None:
-            keyframe, tracked = self.last
-            everyone = np.arange(len(keyframe.points.uv))
+            (keyframe, tracked), everyone = self.last, np.arange(len(self.last[0].points.uv))
             return point_bits(keyframe, tracked.T_frame_kf, everyone, self.noise, self.backend)[0]
         if self.reference is not None and self.reference.keyframe.frame.timestamp == self.history.times[-1]:
             return torch.from_numpy(self.reference.keyframe.points.uv)

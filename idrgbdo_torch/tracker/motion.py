@@ -27,7 +27,8 @@ class Motion:
     time: float = 0.0  # s, of the last pose that was measured: lost frames since then do not count
     surprise_px: float = inf  # px in the image between the last frame's guess and pose
     turn: Array = field(default_factory=lambda: np.zeros(3))  # rad/s, of the last frame
-    frame: Frame | None = None  # the last one, where it was measured
+    frame: Frame | None = None  # the last one, where it was measured,
+    frame_turn: Array = field(default_factory=lambda: np.zeros(3))  # and its turn
 
     @staticmethod
     def at(T_cam_world: Array) -> Motion:
@@ -47,7 +48,7 @@ class Motion:
     def move(self, T_cam_world: Array, frame: Frame, dt: float) -> None:
         """To a frame's measured pose; dt 0 where the step from the one before is no velocity."""
         self.T_previous, self.T_cam_world, self.dt = self.T_cam_world, T_cam_world, dt
-        self.frame, self.time = frame, frame.timestamp
+        self.frame, self.frame_turn, self.time = frame, self.turn, frame.timestamp
 
     def correct(self, T_cam_world: Array) -> None:
         """The present pose was refined: the one before follows, so that the velocity stays."""

@@ -61,9 +61,9 @@ class Refining(Inspected):
         moved[:, 2, 3] += 1.0
         return Trajectory(causal.timestamps, moved)
 
-    def map(self) -> Cloud:
+    def maps(self) -> dict[int, Cloud]:
         rgb = np.array([[255, 0, 7], [1, 2, 3]], np.uint8)
-        return Cloud(np.array([[0.5, -1, 2], [0, 0, 1]], np.float32), rgb, np.zeros((2, 3), np.float32))
+        return {0: Cloud(np.array([[0.5, -1, 2], [0, 0, 1]], np.float32), rgb, np.zeros((2, 3), np.float32))}
 
 
 def test_what_is_written_frame_by_frame_is_there_at_once(tmp_path: Path) -> None:

@@ -1,0 +1,42 @@
+"""What track() says of a frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..kernels.se3 import inverse
+from ..odometry import Status, TrackResult
+from .tracking import Tracked
+
+Array = NDArray[np.float64]
+
+NOTHING = np.zeros(0)
+
+
+def held(T_cam_world: Array, status: Status, reason: str, segment: int) -> TrackResult:
+    """Of a frame at a pose (4, 4) that nothing was measured for."""
+    pose = torch.from_numpy(inverse(T_cam_world))
+    return TrackResult(T_world_cam=pose, status=status, reason=reason, segment=segment)
+
+
+def measured(
+    T_cam_world: Array, tracked: Tracked, reference_time: float, reason: str, segment: int, bits: Array = NOTHING
+) -> TrackResult:
+    """Of a frame that was aligned to the keyframe of reference_time (s): weak with a reason, ok without.
+
+    bits: (6,) entropy of each degree of freedom.
+    """
+    return TrackResult(
+        T_world_cam=torch.from_numpy(inverse(T_cam_world)),
+        status=Status.WEAK if reason else Status.OK,
+        reason=reason,
+        reference_time=reference_time,
+        T_ref_cam=torch.from_numpy(inverse(tracked.T_frame_kf)),
+        information=torch.from_numpy(tracked.information),
+        points=tracked.points,
+        iterations=tracked.iterations,
+        entropy_bits=tuple(bits.tolist()),
+        segment=segment,
+    )
