@@ -64,7 +64,7 @@ class IdRgbdo:
 
     def track(self, rgbd: RgbdFrame) -> TrackResult:
         """The pose of the next frame (sections 4 and 5)."""
-        frame, motion, reference = prepare(rgbd), self.motion, self.reference
+        frame, motion, reference = prepare(rgbd, self.config.tracking.blur), self.motion, self.reference
         if reference is None:
             return self._start_segment(frame, "too few points with depth and texture to start from")
         dt = motion.gap(frame.timestamp)
