@@ -55,6 +55,8 @@ class TrackingConfig:
     levels: Annotated[int, Bounds(1, 6)] = 4
     points_coarse: Count = 256  # on all levels but the finest
     patch: Annotated[int, Bounds(1, 8)] = 8  # pixels a point: the whole pattern of DSO, 1 the centre alone
+    slant: bool = True  # every pixel of a patch has the depth of the plane around the point, or all have the centre's
+    blur: NonNegative = 0.8  # px, of the finest level: a patch's few pixels then speak for their neighbours too
     sigma_velocity: Positive = 0.6  # m/s, change of velocity within 1/30 s: the motion prior, Eq. 19
     sigma_turn: Positive = 0.9  # rad/s, the same of the rotation
 
@@ -76,7 +78,7 @@ class WindowConfig:
     keyframes: Annotated[int, Bounds(3, 64)] = 8
     points: Index = 0  # per keyframe; 0: as many as selection.points, at most 96
     first_estimates: bool = True  # geometric Jacobians of variables in the prior stay where they were first taken
-    removal: Literal["information", "oldest"] = "information"  # Eq. 26, or first in first out
+    removal: Literal["view", "information", "oldest"] = "view"  # who tells the next view least; Eq. 26; the oldest
 
 
 @dataclass(frozen=True)

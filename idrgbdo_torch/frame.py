@@ -60,6 +60,7 @@ class Frame:
     images: tuple[Image, ...]  # (H >> l, W >> l) float32 gray levels
     depth: Image  # (H, W) float32 m
     color: Tensor | None = None
+    sharp: Image | None = None  # the finest level as it came, where images[0] is blurred
 
     @cached_property
     def intrinsics(self) -> Image:
@@ -73,10 +74,11 @@ class Frame:
         return View(self.images, self.depth, self.intrinsics)
 
 
-def prepare(rgbd: RgbdFrame) -> Frame:
+def prepare(rgbd: RgbdFrame, blur: float = 0.0) -> Frame:
     """Gray pyramid by 2x2 means, which is what Pinhole.at_level assumes; the coarse levels are blurred.
 
-    Without the blur, texture aliases on the coarse levels and Gauss-Newton crawls there. The input is not changed.
+    Without that blur, texture aliases on the coarse levels and Gauss-Newton crawls there. blur: px, standard deviation
+    of one of the finest level, from which the others do not take it. The input is not changed.
     Raises IdRgbdoError for images that have no coarsest level.
     """
     least = 2 ** (LEVELS - 1)
@@ -92,8 +94,11 @@ def prepare(rgbd: RgbdFrame) -> Frame:
         images.append(cv2.resize(even, (max(width // 2, 1), max(height // 2, 1)), interpolation=cv2.INTER_AREA))
     for image in images[1:]:
         cv2.GaussianBlur(image, (5, 5), COARSE_BLUR, dst=image)  # in place: fresh memory costs more than the blur
+    sharp = images[0]
+    if blur > 0.0:
+        images[0] = cv2.GaussianBlur(images[0], (5, 5), blur)
     depth = np.ascontiguousarray(rgbd.depth.numpy())
-    return Frame(rgbd.timestamp, rgbd.camera, tuple(images), depth, rgbd.color)
+    return Frame(rgbd.timestamp, rgbd.camera, tuple(images), depth, rgbd.color, sharp)
 
 
 @dataclass(frozen=True)

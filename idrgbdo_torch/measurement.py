@@ -58,6 +58,7 @@ class Points(NamedTuple):
     var_inv_depth: Array  # (N,) float64 (1/m)^2
     patch: Array  # (L, N, P) float32 gray levels
     gradient: Array  # (L, N, P, 2) float32 gray levels/px of the reference
+    slope: Array  # (N, 2) float64 1/m per px of level 0, of the inverse depth over the patch
 
 
 class WindowPoints(NamedTuple):
@@ -69,6 +70,7 @@ class WindowPoints(NamedTuple):
     measured: Array  # (K, N) float64 1/m, the sensor's inverse depth
     variance: Array  # (K, N) float64 (1/m)^2 of it
     valid: Array  # (K, N) bool
+    slope: Array  # (K, N, 2) float64 1/m per px, of the inverse depth over the patch
 
 
 class View(NamedTuple):

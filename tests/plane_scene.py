@@ -66,8 +66,9 @@ def plane_scene() -> Scene:
         gradients.append(g.float())
     variance = SIGMA_D**2 * torch.from_numpy(rng.uniform(0.3, 2.0, n))
     points = Points(
-        uv.numpy(), d.numpy(), variance.numpy(), torch.stack(patches).numpy(), torch.stack(gradients).numpy()
-    )
+        uv.numpy(), d.numpy(), variance.numpy(), torch.stack(patches).numpy(), torch.stack(gradients).numpy(),
+        0.001 * rng.standard_normal((n, 2)),
+    )  # fmt: skip
     return Scene(tuple(image.numpy() for image in pyramid(target, LEVELS)), depth.numpy(), points)
 
 

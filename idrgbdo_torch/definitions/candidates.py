@@ -43,10 +43,13 @@ def block_thresholds(gradient2: Array, block: int, offset: float) -> Array:
     return np.asarray(smooth.square())
 
 
-def planes_at(depth: Array, uv: Array, radius: int, sigma: float) -> tuple[Array, Array]:
-    """Inverse depth (N,) from planes through the neighbourhoods of pixels uv (N, 2), and where there is one (N,)."""
-    valid, inverse_depth = _planes(torch.from_numpy(depth), torch.from_numpy(uv).long(), radius, sigma)
-    return valid.numpy(), inverse_depth.numpy()
+def planes_at(depth: Array, uv: Array, radius: int, sigma: float) -> tuple[Array, Array, Array]:
+    """Planes through the neighbourhoods of pixels uv (N, 2): where there is one (N,), its inverse depth, its slope.
+
+    Inverse depth (N,) in 1/m; slope (N, 2) in 1/m per px.
+    """
+    valid, inverse_depth, slope = _planes(torch.from_numpy(depth), torch.from_numpy(uv).long(), radius, sigma)
+    return valid.numpy(), inverse_depth.numpy(), slope.numpy()
 
 
 def candidate_scores(gradient2: Array, thresholds: Array, block: int, edges: Array, depth: Array) -> Array:
@@ -79,7 +82,7 @@ def grid_candidates(
     uv = torch.stack([u, v], dim=-1)  # (cells, tries, 2)
     tried = best >= 0
     inside = torch.where(tried[..., None], uv, border)
-    valid, inverse_depth = _planes(z, inside.reshape(-1, 2), radius, sigma)
+    valid, inverse_depth, _ = _planes(z, inside.reshape(-1, 2), radius, sigma)
     valid = valid.reshape(tried.shape) & tried
     found = valid.any(-1)
     first = valid.long().argmax(-1, keepdim=True)
@@ -116,8 +119,8 @@ def first_of_cells(cells: Array, order: Array, count: int) -> Array:
     return np.asarray(ranked[:count].sort().values)
 
 
-def _planes(depth: Tensor, uv: Tensor, radius: int, sigma: float) -> tuple[Tensor, Tensor]:
-    """Twin of kernels.candidates.fit_plane at whole pixels uv (N, 2): validity (N,), inverse depth (N,)."""
+def _planes(depth: Tensor, uv: Tensor, radius: int, sigma: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Twin of kernels.candidates.fit_plane at whole pixels uv (N, 2): validity (N,), inverse depth, slope (N, 2)."""
     height, width = depth.shape
     u, v = uv.unbind(-1)
     inside = (u >= radius) & (v >= radius) & (u < width - radius) & (v < height - radius)
@@ -139,4 +142,4 @@ def _planes(depth: Tensor, uv: Tensor, radius: int, sigma: float) -> tuple[Tenso
     fit = solve(A, rhs)
     residual2 = (d.square().sum(-1) - (fit.y * rhs).sum(-1)) / known.sum(-1).clamp(min=1)
     valid = valid & fit.ok & (residual2 <= (2 * sigma) ** 2)
-    return valid, torch.where(valid, centre + fit.y[:, 0], 0.0)
+    return valid, torch.where(valid, centre + fit.y[:, 0], 0.0), torch.where(valid[:, None], fit.y[:, 1:], 0.0)

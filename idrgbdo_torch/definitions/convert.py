@@ -51,6 +51,7 @@ def chosen(points: Points, index: Array) -> HostPoints:
         torch.from_numpy(points.var_inv_depth)[at][None],
         tuple(patch[:, at][:, None]),
         tuple(gradient[:, at][:, None]),
+        slope=torch.from_numpy(points.slope)[at][None],
     )
 
 

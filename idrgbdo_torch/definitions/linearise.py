@@ -132,7 +132,8 @@ def linearise_pairs(
     exists = points.inverse_depth > 0
     d = torch.where(exists, points.inverse_depth, 1.0)  # (B, N)
     T = T_target_host.to(d)[:, None]  # (B, 1, 4, 4)
-    warped = warp(camera, at_level(points.uv, level), d, T, PATTERN[:pixels])
+    slope = None if points.slope is None else points.slope * 2.0**level  # per px of the level
+    warped = warp(camera, at_level(points.uv, level), d, T, PATTERN[:pixels], slope)
     brightness = affine.to(d)[:, None]
     term = linearize(target.image, warped, points.patch[level][..., :pixels].to(d), brightness)
 

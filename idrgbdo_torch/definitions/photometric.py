@@ -60,13 +60,18 @@ class DepthTerm:
     dr_dd: Tensor  # (...)
 
 
-def warp(camera: Pinhole, uv: Tensor, inverse_depth: Tensor, T_target_host: Tensor, pattern: Tensor = PATTERN) -> Warp:
-    """Eq. (3). p_i = Pi(R Pi^-1(p_j, d_j) + t), on the pattern (P, 2) around uv at the centre's inverse depth.
+def warp(
+    camera: Pinhole, uv: Tensor, inverse_depth: Tensor, T_target_host: Tensor, pattern: Tensor = PATTERN,
+    slope: Tensor | None = None,
+) -> Warp:  # fmt: skip
+    """Eq. (3). p_i = Pi(R Pi^-1(p_j, d_j) + t), on the pattern (P, 2) around uv, which lies on one plane.
 
     uv (..., 2), inverse_depth (...) and T_target_host (..., 4, 4) broadcast. (The paper prints p_i inside Pi^-1.)
+    slope (..., 2): how the inverse depth grows along u and v, 1/m per px; None: all pixels have the centre's.
     """
     pixels = uv[..., None, :] + pattern.to(uv)  # (..., P, 2)
-    P_host = backproject(camera, pixels, inverse_depth[..., None])
+    d = inverse_depth[..., None] + (0.0 if slope is None else slope @ pattern.to(uv).mT)  # (..., P)
+    P_host = backproject(camera, pixels, d)
     P_target = transform(T_target_host[..., None, :, :], P_host)
     p_target, in_front = project(camera, P_target)
 

@@ -30,6 +30,7 @@ class HostPoints:
     patch: tuple[Tensor, ...]  # a level: (B, N, P) gray levels
     gradient: tuple[Tensor, ...]  # a level: (B, N, P, 2) gray levels per px
     weight: Tensor | None = None  # (B, N) or (B, N, P) factor on the information, above 0; 1 if None
+    slope: Tensor | None = None  # (B, N, 2) 1/m per px of level 0, of the inverse depth over the patch; 0 if None
 
 
 def pick_points(gray: Tensor, depth: Tensor, count: int) -> tuple[Tensor, Tensor]:

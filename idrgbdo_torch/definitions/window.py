@@ -42,7 +42,7 @@ def linearise_window(
     at = torch.from_numpy(views.slots)
     gray, z = torch.from_numpy(views.images)[at], torch.from_numpy(views.depths)[at].double()
     inverse_depth = torch.where(z > 0, 1 / z, 0.0)  # (K, H, W)
-    uv, patch, gradient, measured, variance, valid = (torch.from_numpy(x) for x in points)
+    uv, patch, gradient, measured, variance, valid, slope = (torch.from_numpy(x) for x in points)
     takes_part = valid & torch.from_numpy(hosts)[:, None]  # (K, N)
     inv_depth = torch.from_numpy(state.inv_depth)
     usable = takes_part & (inv_depth > 1e-3)
@@ -52,7 +52,7 @@ def linearise_window(
     gain = (brightness[:, None, 0] - brightness[None, :, 0]).exp()  # (K, K)
 
     T = _relative(torch.from_numpy(state.T))  # (K, K, 1, 4, 4)
-    now = warp(camera, pixel, d, T, PATTERN[: patch.shape[-1]])
+    now = warp(camera, pixel, d, T, PATTERN[: patch.shape[-1]], slope.expand(K, K, N, 2))
     linear = warp(camera, pixel, d, _relative(torch.from_numpy(state.T_linear)), PATTERN_1)
     relative = torch.stack([gain.log(), brightness[:, None, 1].expand(K, K)], dim=-1)[:, :, None]  # (K, K, 1, 2)
     term = linearize(gray, now, patch.double() - brightness[:, 1, None, None], relative)

@@ -88,7 +88,7 @@ def tracking_case(scene: Scene, points: int, *, select: bool = False, config: Co
     """
     config = config or configured(points)
     noise = kernel_noise(config.noise)
-    keyframe, frame, T_guess = _keyframe(scene, config), prepare(scene.frames[1]), _guess(scene)
+    keyframe, frame, T_guess = _keyframe(scene, config), prepare(scene.frames[1], config.tracking.blur), _guess(scene)
     prior = motion_information(config, DT)
     choose = selection_case(scene, points, config=config)
     index = choose()
@@ -123,7 +123,7 @@ def window_case(scene: Scene, points: int, keyframes: int) -> Case:
     prior = motion_information(config, DT)
     window = Window(config, noise, FUSED)
     for number in range(keyframes):
-        keyframe = make_keyframe(prepare(scene.frames[number]), config, rng, FUSED)
+        keyframe = make_keyframe(prepare(scene.frames[number], config.tracking.blur), config, rng, FUSED)
         index = select_points(keyframe, np.eye(4), points, prior, config.selection, noise, rng, FUSED)
         off = WRONG * rng.normal(size=6) if number else np.zeros(6)
         window.add(keyframe, retract(off, scene.T_cam_world[number]), np.zeros(2), index)
@@ -152,7 +152,7 @@ def median_ms(cases: Sequence[Case], repeats: int) -> list[float]:
 
 
 def _keyframe(scene: Scene, config: Config) -> Keyframe:
-    return make_keyframe(prepare(scene.frames[0]), config, np.random.default_rng(0), FUSED)
+    return make_keyframe(prepare(scene.frames[0], config.tracking.blur), config, np.random.default_rng(0), FUSED)
 
 
 def _guess(scene: Scene) -> Array:

@@ -195,13 +195,14 @@ def highest(scores, u0, v0, u1, v1):
 
 @kernel
 def planes_at(depth, uv, radius, sigma):
-    """fit_plane at many pixels: (valid (N,), inverse depth (N,))."""
+    """fit_plane at many pixels: (valid (N,), inverse depth (N,), its slope (N, 2) in 1/m per px)."""
     n = uv.shape[0]
     valid = np.zeros(n, dtype=np.bool_)
     inv_depth = np.zeros(n)
+    slope = np.zeros((n, 2))
     for i in range(n):
-        valid[i], inv_depth[i], _gu, _gv = fit_plane(depth, int(uv[i, 0]), int(uv[i, 1]), radius, sigma)
-    return valid, inv_depth
+        valid[i], inv_depth[i], slope[i, 0], slope[i, 1] = fit_plane(depth, int(uv[i, 0]), int(uv[i, 1]), radius, sigma)
+    return valid, inv_depth, slope
 
 
 @kernel

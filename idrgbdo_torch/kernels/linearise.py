@@ -78,9 +78,10 @@ def linearise(view, level, points, subset, state, scale, limit, noise, system):
         for k in range(pixels):
             ou = PATTERN_U[k] / fx
             ov = PATTERN_V[k] / fy
-            kx = qx + T[0, 0] * ou + T[0, 1] * ov
-            ky = qy + T[1, 0] * ou + T[1, 1] * ov
-            kz = qz + T[2, 0] * ou + T[2, 1] * ov
+            od = (points.slope[p, 0] * PATTERN_U[k] + points.slope[p, 1] * PATTERN_V[k]) / size
+            kx = qx + T[0, 0] * ou + T[0, 1] * ov + T[0, 3] * od
+            ky = qy + T[1, 0] * ou + T[1, 1] * ov + T[1, 3] * od
+            kz = qz + T[2, 0] * ou + T[2, 1] * ov + T[2, 3] * od
             if kz < 1e-3:
                 inside = False
                 break

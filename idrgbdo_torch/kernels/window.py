@@ -99,12 +99,13 @@ def linearise_window(views, state, points, hosts, limit, noise, system):
                 for k in range(pixels):
                     ou = PATTERN_U[k] / fx
                     ov = PATTERN_V[k] / fy
-                    kz = qz + T[2, 0] * ou + T[2, 1] * ov
+                    od = points.slope[host, n, 0] * PATTERN_U[k] + points.slope[host, n, 1] * PATTERN_V[k]
+                    kz = qz + T[2, 0] * ou + T[2, 1] * ov + T[2, 3] * od
                     if kz < 1e-3:
                         inside = False
                         break
-                    kx = qx + T[0, 0] * ou + T[0, 1] * ov
-                    ky = qy + T[1, 0] * ou + T[1, 1] * ov
+                    kx = qx + T[0, 0] * ou + T[0, 1] * ov + T[0, 3] * od
+                    ky = qy + T[1, 0] * ou + T[1, 1] * ov + T[1, 3] * od
                     ikz = 1.0 / kz
                     ok, value, gu, gv = sample(image, fx * kx * ikz + cx, fy * ky * ikz + cy)
                     if not ok:

@@ -55,7 +55,7 @@ def align(
             tracked, verdict = again, second
     if verdict.doubt(LIMITS.weak):
         again, second = recover_by_features(pair, start.affine, index)
-        if second.score > verdict.score:
+        if second.score > verdict.score or (second.supported and not second.doubt(LIMITS.lost)):
             tracked, verdict = again, second
     return tracked, verdict, displacement(pair, start.T, tracked.T_frame_kf)
 
@@ -68,8 +68,11 @@ def displacement(pair: Pair, T_a: Array, T_b: Array) -> float:
 
 def recover_by_features(pair: Pair, affine: Array, index: Index) -> tuple[Tracked, Verdict]:
     """recover() from where the features of frame and keyframe say: for views far apart, where no prediction holds."""
-    guess = start_from_features(pair.frame, pair.keyframe.frame)
-    return recover(pair, [] if guess is None else [guess, guess], affine, index, (NEAR_LEVELS, LEVELS))
+    start = start_from_features(pair.frame, pair.keyframe.frame)
+    if start is None:
+        return NOTHING
+    tracked, verdict = recover(pair, [start.T_target_host] * 2, affine, index, (NEAR_LEVELS, LEVELS))
+    return tracked, replace(verdict, supported=start.supports(tracked.T_frame_kf))
 
 
 def recover(
@@ -77,12 +80,12 @@ def recover(
 ) -> tuple[Tracked, Verdict]:
     """Try again from each guess of T_frame_kf with all candidates on so many levels, no prior; the best one.
 
-    The finest level keeps the chosen points `index`. Without a guess nothing is found.
+    The finest level keeps the chosen points `index`. There is at least one guess.
     """
     pair = replace(pair, keyframe=all_patches(pair.keyframe, pair.backend))
     points = pair.keyframe.points
     everyone = Subset(np.arange(len(points.uv)), points.patch.shape[2])
-    tried = [NOTHING]
+    tried = []
     for guess, count in zip(guesses, levels, strict=False):
         tracked = track_frame(pair, State(guess, affine), index, everyone, FREE, count)
         tried.append((tracked, verify(pair, tracked)))

@@ -51,8 +51,8 @@ class Backend(Protocol):
     ) -> tuple[Array, Array, Array]:
         """uv (M, 2), inverse depth (M,), tier (M,): one candidate a cell."""
 
-    def planes_at(self, depth: Array, uv: Array, radius: int, sigma: float) -> tuple[Array, Array]:
-        """Whether there is a plane around pixels uv (N, 2), and their inverse depths (N,)."""
+    def planes_at(self, depth: Array, uv: Array, radius: int, sigma: float) -> tuple[Array, Array, Array]:
+        """Whether there is a plane around pixels uv (N, 2), their inverse depths (N,) and its slopes (N, 2)."""
 
     def first_of_cells(self, cells: Array, order: Array, count: int) -> Array:
         """At most count indices, spread over the cells (N,)."""

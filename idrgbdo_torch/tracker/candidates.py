@@ -36,7 +36,7 @@ def extract_candidates(frame: Frame, config: Config, rng: Generator, backend: Ba
         u = rng.integers(BORDER, width - BORDER, tries)
         v = rng.integers(BORDER, height - BORDER, tries)
         uv: Array = rng.permutation(np.unique(np.column_stack([u, v]), axis=0)).astype(np.float64)
-        valid, inv_depth = backend.planes_at(frame.depth, uv, PLANE_RADIUS, sigma)
+        valid, inv_depth, _ = backend.planes_at(frame.depth, uv, PLANE_RADIUS, sigma)
         keep = np.flatnonzero(valid)[: config.candidates]
         return uv[keep], inv_depth[keep]
     gradient2 = backend.gradient_squared(frame.images[0])

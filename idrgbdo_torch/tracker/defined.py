@@ -48,7 +48,7 @@ class Defined:
     ) -> tuple[Array, Array, Array]:
         return candidates.grid_candidates(scores, depth, cell, border, radius, sigma)
 
-    def planes_at(self, depth: Array, uv: Array, radius: int, sigma: float) -> tuple[Array, Array]:
+    def planes_at(self, depth: Array, uv: Array, radius: int, sigma: float) -> tuple[Array, Array, Array]:
         return candidates.planes_at(depth, uv, radius, sigma)
 
     def first_of_cells(self, cells: Array, order: Array, count: int) -> Array:

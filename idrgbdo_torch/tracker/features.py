@@ -22,6 +22,7 @@ COUNT = {FULL: 1500, HALF: 500}  # features of an image
 THRESHOLD = 7  # gray levels, of a corner: half-size levels are smooth, and so is motion blur
 RATIO = 0.8  # of the best to the second-best match (Lowe)
 FEWEST = 12  # matches with depth that are worth a try, and that must agree with a pose
+SUPPORT = 20  # matches that speak for a pose whose brightness agrees in half of the points only
 REPROJECTION_PX = 3.0  # of a match that agrees, on that level
 TRIES = 1000  # samples of RANSAC at most
 MOST_TURNED = np.pi / 3  # rad, between two views that overlap; a mirrored or rolled image fits at more
@@ -39,7 +40,8 @@ class Features:
 
 def features(frame: Frame, level: int) -> Features:
     """The features of a frame on a level, always the same ones."""
-    image = np.nan_to_num(frame.images[level]).clip(0.0, 255.0).astype(np.uint8)
+    shown = frame.images[level] if frame.sharp is None or level != FULL else frame.sharp
+    image = np.nan_to_num(shown).clip(0.0, 255.0).astype(np.uint8)
     detector = cv2.ORB.create(nfeatures=COUNT[level], fastThreshold=THRESHOLD)
     keypoints, descriptor = detector.detectAndCompute(image, None)
     if not keypoints:
@@ -70,8 +72,28 @@ def match(host: Features, target: Features) -> NDArray[np.int64]:
     return np.array(pairs, np.int64).reshape(-1, 2)
 
 
-def pose_from_features(host: Features, target: Features, camera: Array) -> Array | None:
-    """T_target_host (4, 4) by perspective from the host's points (RANSAC), None where too few agree.
+@dataclass(frozen=True)
+class Perspective:
+    """A pose from features, and the matches that agree with it."""
+
+    T_target_host: Array  # (4, 4)
+    P: Array  # (M, 3) m in the host
+    uv: Array  # (M, 2) px in the target
+    camera: Array  # (4,) fx fy cx cy
+
+    def supports(self, T_target_host: Array) -> bool:
+        """Whether enough of the matches, and most of them, agree with a refined pose too."""
+        P = self.P @ T_target_host[:3, :3].T + T_target_host[:3, 3]
+        ahead = P[:, 2] > 0.0
+        fx, fy, cx, cy = self.camera
+        z = np.where(ahead, P[:, 2], 1.0)
+        at = np.column_stack([fx * P[:, 0] / z + cx, fy * P[:, 1] / z + cy])
+        agree = int((ahead & (np.linalg.norm(at - self.uv, axis=1) < REPROJECTION_PX)).sum())
+        return agree >= SUPPORT and 2 * agree >= len(P)
+
+
+def pose_from_features(host: Features, target: Features, camera: Array) -> Perspective | None:
+    """The pose by perspective from the host's points (RANSAC), None where too few agree.
 
     camera: (4,) fx fy cx cy of the target on the level of its features.
     """
@@ -94,9 +116,11 @@ def pose_from_features(host: Features, target: Features, camera: Array) -> Array
     T[:3, :3] = cv2.Rodrigues(rvec)[0]
     T[:3, 3] = t[:, 0]
     turned = float(np.linalg.norm(rvec))
-    return T if np.isfinite(T).all() and turned < MOST_TURNED else None
+    if not np.isfinite(T).all() or turned > MOST_TURNED:
+        return None
+    return Perspective(T, P[inliers[:, 0]], uv[inliers[:, 0]], camera)
 
 
-def start_from_features(frame: Frame, keyframe: Frame) -> Array | None:
-    """T_frame_kf (4, 4) that the features of both give; None where too few agree."""
+def start_from_features(frame: Frame, keyframe: Frame) -> Perspective | None:
+    """The pose T_frame_kf that the features of both give; None where too few agree."""
     return pose_from_features(features(keyframe, FULL), features(frame, FULL), frame.intrinsics[FULL])

@@ -53,8 +53,8 @@ class Fused:
         out: tuple[Array, Array, Array] = candidates.grid_candidates(scores, depth, cell, border, radius, sigma)
         return out
 
-    def planes_at(self, depth: Array, uv: Array, radius: int, sigma: float) -> tuple[Array, Array]:
-        out: tuple[Array, Array] = candidates.planes_at(depth, uv, radius, sigma)
+    def planes_at(self, depth: Array, uv: Array, radius: int, sigma: float) -> tuple[Array, Array, Array]:
+        out: tuple[Array, Array, Array] = candidates.planes_at(depth, uv, radius, sigma)
         return out
 
     def first_of_cells(self, cells: Array, order: Array, count: int) -> Array:

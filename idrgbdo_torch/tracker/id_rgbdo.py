@@ -66,7 +66,7 @@ class IdRgbdo:
 
     def track(self, rgbd: RgbdFrame) -> TrackResult:
         """The pose of the next frame (sections 4 and 5)."""
-        frame = prepare(rgbd)
+        frame = prepare(rgbd, self.config.tracking.blur)
         if self.reference is None:
             return self._start_segment(frame, "too few points with depth and texture to start from")
         tracked, verdict = self._align(frame, self.reference)

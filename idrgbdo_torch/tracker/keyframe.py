@@ -14,7 +14,7 @@ from ..config import Config, KeyframeConfig
 from ..frame import Frame, Keyframe
 from ..measurement import Points, inverse_depth_sigma
 from .backends import Backend
-from .candidates import extract_candidates, spread_out
+from .candidates import PLANE_RADIUS, extract_candidates, spread_out
 
 Array = NDArray[np.float64]
 
@@ -68,8 +68,11 @@ def make_keyframe(frame: Frame, config: Config, rng: Generator, backend: Backend
     backend.sample_patches(frame.images, uv, np.union1d(coarse, witnesses), range(1, levels), patch, gradient)
     radius = np.hypot(uv[:, 0] - camera.cx, uv[:, 1] - camera.cy)
     radius /= max(radius.max(initial=0.0), 1.0)
-    variance = np.full(len(uv), inverse_depth_sigma(config.noise.focal_baseline, config.noise.sigma_disparity) ** 2)
-    points = Points(uv, inv_depth, variance, patch, gradient)
+    sigma = inverse_depth_sigma(config.noise.focal_baseline, config.noise.sigma_disparity)
+    variance = np.full(len(uv), sigma**2)
+    flat = np.zeros((len(uv), 2))
+    slope = backend.planes_at(frame.depth, uv, PLANE_RADIUS, sigma)[2] if config.tracking.slant else flat
+    points = Points(uv, inv_depth, variance, patch, gradient, slope)
     return Keyframe(frame, points, inv_depth, variance, radius, coarse, witnesses)
 
 

@@ -70,7 +70,7 @@ class Members(NamedTuple):
         P = self.keyframes[0].points.patch.shape[2]
         out = WindowPoints(
             np.zeros((K, N, 2)), np.zeros((K, N, P), np.float32), np.zeros((K, N, P, 2), np.float32),
-            np.ones((K, N)), np.ones((K, N)), np.zeros((K, N), np.bool_),
+            np.ones((K, N)), np.ones((K, N)), np.zeros((K, N), np.bool_), np.zeros((K, N, 2)),
         )  # fmt: skip
         for k, (keyframe, index) in enumerate(zip(self.keyframes, self.chosen, strict=True)):
             n = len(index)
@@ -80,4 +80,5 @@ class Members(NamedTuple):
             out.measured[k, :n] = keyframe.measured[index]
             out.variance[k, :n] = keyframe.measured_variance[index]
             out.valid[k, :n] = True
+            out.slope[k, :n] = keyframe.points.slope[index]
         return out

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frame import Keyframe
+from ..kernels.se3 import inverse
 from ..measurement import LEVELS, State, Subset
 from .alignment import FREE, NEAR_LEVELS
-from .features import HALF, features, pose_from_features
+from .features import HALF, Perspective, features, pose_from_features, start_from_features
 from .places import Place, nearest_first
 from .tracking import Pair, Tracked, track_frame
 from .verification import LIMITS, Verdict, verify
@@ -45,14 +46,21 @@ def aligned(pair: Pair, T_frame_kf: Array, levels: int) -> tuple[Tracked, Verdic
 
 
 def find_in_window(pair: Pair, T_cam_world: Array, window: dict[int, tuple[Keyframe, Array]]) -> Found | None:
-    """The frame against the other keyframes of the window, from where it was expected, the nearest views first."""
+    """The frame against the other keyframes of the window, the nearest views first: from where it was expected, then
+    from where the features say.
+    """
     numbers = list(window)
-    for k in nearest_first(T_cam_world, [window[number][1] for number in numbers])[:NEIGHBOURS]:
-        keyframe, T_kf_world = window[numbers[k]]
-        guess = T_cam_world @ np.linalg.inv(T_kf_world)
-        tracked, verdict = aligned(replace(pair, keyframe=keyframe), guess, LEVELS)
-        if believed(verdict):
-            return Found(numbers[k], tracked, verdict)
+    nearest = [numbers[k] for k in nearest_first(T_cam_world, [window[n][1] for n in numbers])[:NEIGHBOURS]]
+    for number in nearest:
+        keyframe, T_kf_world = window[number]
+        found = sure(number, *aligned(replace(pair, keyframe=keyframe), T_cam_world @ inverse(T_kf_world), LEVELS))
+        if found:
+            return found
+    for number in nearest:
+        keyframe, _ = window[number]
+        start = start_from_features(pair.frame, keyframe.frame)
+        if start and (found := from_perspective(number, replace(pair, keyframe=keyframe), start)):
+            return found
     return None
 
 
@@ -62,15 +70,19 @@ def find_in_places(pair: Pair, places: Sequence[Place]) -> Found | None:
         return None
     seen = features(pair.frame, HALF)
     for place in places:
-        guess = pose_from_features(place.features, seen, pair.frame.intrinsics[HALF])
-        if guess is None:
-            continue
-        tracked, verdict = aligned(replace(pair, keyframe=place.keyframe), guess, NEAR_LEVELS)
-        if believed(verdict):
-            return Found(place.number, tracked, verdict)
+        start = pose_from_features(place.features, seen, pair.frame.intrinsics[HALF])
+        if start and (found := from_perspective(place.number, replace(pair, keyframe=place.keyframe), start)):
+            return found
     return None
 
 
-def believed(verdict: Verdict) -> bool:
-    """Whether a pose found elsewhere is taken: a wrong one is worse than none, so it must be sure."""
-    return verdict.visible > IN_VIEW and not verdict.doubt(LIMITS.sure)
+def from_perspective(number: int, pair: Pair, start: Perspective) -> Found | None:
+    """The frame against a keyframe from where features put it, if its brightness and depth are sure of it."""
+    return sure(number, *aligned(pair, start.T_target_host, NEAR_LEVELS))
+
+
+def sure(number: int, tracked: Tracked, verdict: Verdict) -> Found | None:
+    """A pose found elsewhere than in the newest keyframe, if it is to be taken: a wrong one is worse than none."""
+    if verdict.visible < IN_VIEW or verdict.doubt(LIMITS.sure):
+        return None
+    return Found(number, tracked, verdict)

@@ -46,6 +46,7 @@ class Verdict:
     visible: float  # share of the points that the frame sees
     bright: float  # share of those with agreeing brightness
     near: float  # share of those with depth that agree in depth
+    supported: bool = False  # features that had no part in the alignment agree with it
 
     @property
     def score(self) -> float:
@@ -56,6 +57,8 @@ class Verdict:
         """Why the pose is not to be believed, empty when it is; strict grows the limits towards 1."""
         if self.visible < LIMITS.in_view:
             return f"only {self.visible:.0%} of the keyframe is in view"
+        if self.supported and strict <= LIMITS.lost:  # doubtful it may be, but not lost
+            return ""
         if self.bright < strict:
             return f"only {self.bright:.0%} of the points agree in brightness"
         if self.near < strict + LIMITS.depth_above:

@@ -55,7 +55,7 @@ def compile_window() -> None:
     none, no_index = np.zeros(0), np.zeros(0, np.int64)
     for frame in islice(tiny_film(), 2):
         patch = np.zeros((LEVELS, 0, len(PATTERN_U)), np.float32)
-        points = Points(np.zeros((0, 2)), none, none, patch, np.zeros((*patch.shape, 2), np.float32))
+        points = Points(np.zeros((0, 2)), none, none, patch, np.zeros((*patch.shape, 2), np.float32), np.zeros((0, 2)))
         keyframe = Keyframe(prepare(frame), points, none, none, none, no_index, no_index)
         window.add(keyframe, np.eye(4), np.zeros(2), no_index)
     window.optimise()

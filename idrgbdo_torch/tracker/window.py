@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from ..config import Config
 from ..definitions.marginalization import LinearPrior, prior_cost, prior_gradient
+from ..definitions.removal import next_view_bits
 from ..frame import Keyframe
-from ..kernels.se3 import inverse, log_se3, retract
+from ..kernels.se3 import adjoint, inverse, log_se3, retract
 from ..kernels.solver import solve_spd
 from ..measurement import STEP, Noise, Views, WindowPoints, WindowSystem
 from .backends import Backend
@@ -31,7 +32,7 @@ TOLERANCE = (
     1.02  # a step may raise the cost so much: points crossing a limit make it jump by more than the step is worth
 )
 SMALLEST_SYSTEM = 1e-9  # added to the diagonal: what nothing measures does not move
-PROTECTED = 2  # newest keyframes that redundancy may not remove
+PROTECTED = 2  # newest keyframes that stay
 HARDLY_SEEN = 0.05  # share of a keyframe's points in the newest view under which it goes first
 
 
@@ -147,7 +148,10 @@ class Window:
         return self.backend.marginalize(H, b, np.arange(len(b)) % STEP >= 6).H.numpy()
 
     def least_useful(self, information: Array) -> int:
-        """The keyframe to remove: one that the newest hardly sees, else the most redundant by Eq. 26."""
+        """The keyframe to remove: one that the newest hardly sees, else as configured; never one of the newest.
+
+        information: (6K, 6K) of the poses.
+        """
         members = self.members
         K = len(members.keyframes)
         seen = (self.system.rms[:, :, -1] >= 0.0).sum(axis=1) / np.maximum([len(i) for i in members.chosen], 1)
@@ -156,6 +160,8 @@ class Window:
                 return k
         if self.config.window.removal == "oldest":
             return 0
+        if self.config.window.removal == "view":
+            return int(self.next_view_bits(information)[: K - PROTECTED].argmin())
         psi = self.backend.redundancy(information)
         return int(psi[: K - PROTECTED].argmax())
 
@@ -163,6 +169,22 @@ class Window:
         """See everything from another world, which lies at this pose (4, 4); the prior stays as it is."""
         members = self.members
         self.members = members._replace(T=members.T @ T_old_new, T_linear=members.T_linear @ T_old_new)
+
+    def next_view_bits(self, information: Array) -> Array:
+        """What a view where the newest keyframe is would lose with each keyframe (K,), in bits.
+
+        It is taken to be measured against the others as the newest is, and against the newest as that one against its
+        neighbour: of normal equations, the block of two keyframes is -A times the adjoint, with A the information of
+        one against the other.
+        """
+        T, K = self.members.T, len(self.members.keyframes)
+        adjoints = np.stack([adjoint(T[-1] @ inverse(T[k])) for k in range(K)])
+        blocks = self.system.H.reshape(K, STEP, K, STEP)[-1, :6, :, :6].transpose(1, 0, 2)
+        links = -blocks @ np.linalg.inv(adjoints)
+        links[-1] = links[-2]
+        links = 0.5 * (links + links.transpose(0, 2, 1))
+        bits = next_view_bits(torch.from_numpy(information), torch.from_numpy(links), torch.from_numpy(adjoints))
+        return np.asarray(bits)
 
     def marginalise(self, k: int) -> None:
         """Replace a keyframe's points, then the keyframe itself, by a linear prior on the others (Eqs. 21 to 25)."""

@@ -57,6 +57,16 @@ def test_warp_finds_the_same_surface_point() -> None:
         )
 
 
+def test_a_patch_on_a_slanted_surface_needs_its_slope() -> None:
+    uv, d = points(SLANTED)
+    host = render(torch.eye(4, dtype=torch.float64), SLANTED)[1]
+    slope = torch.stack([host[0, 1] - host[0, 0], host[1, 0] - host[0, 0]]).expand(len(uv), 2)  # the same everywhere
+    gray, expected = render(T_TARGET_HOST, SLANTED)[0], host_intensity(uv, SLANTED, PATTERN)
+    with_slope, without = (warp(CAMERA, uv, d, T_TARGET_HOST, slope=s).uv for s in (slope, None))
+    off = [(sample_bilinear(gray, at)[0] - expected).abs().mean() for at in (with_slope, without)]
+    assert off[0] < 0.5 * off[1]
+
+
 def test_moving_right_moves_pixels_left() -> None:
     T = se3.exp(torch.tensor([-0.1, 0, 0, 0, 0, 0], dtype=torch.float64))  # the camera goes 0.1 m to the right
     uv, d = one_point()

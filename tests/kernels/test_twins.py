@@ -152,8 +152,8 @@ def linearised_by_definition(
 ) -> tuple[Tensor, Tensor, float, Tensor, int]:
     """H, b, energy, rms and the number of points seen, from the functions of photometric and solver."""
     camera = CAMERA.at_level(level)
-    uv, d, var_d = (scene.tensor(name, index) for name in ("uv", "inv_depth", "var_inv_depth"))
-    warped = warp(camera, (uv + 0.5) * 0.5**level - 0.5, d, T)
+    uv, d, var_d, slope = (scene.tensor(name, index) for name in ("uv", "inv_depth", "var_inv_depth", "slope"))
+    warped = warp(camera, (uv + 0.5) * 0.5**level - 0.5, d, T, slope=slope * 2**level)
     patch, g_host = (torch.from_numpy(x[level, index]).double() for x in (scene.points.patch, scene.points.gradient))
     term = linearize(torch.from_numpy(scene.images[level]).double(), warped, patch, affine)
     moved = moved_gradient(g_host, d, warped, T, level)

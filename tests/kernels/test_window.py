@@ -83,7 +83,7 @@ def scene() -> Scene:
     valid[1, 5:] = False
     points = WindowPoints(
         uv.numpy(), patch.float().numpy(), gradient.float().numpy(), measured.numpy(),
-        rng.uniform(0.5, 2.0, (K, N)) * 0.004**2, valid,
+        rng.uniform(0.5, 2.0, (K, N)) * 0.004**2, valid, 0.001 * rng.standard_normal((K, N, 2)),
     )  # fmt: skip
 
     def near(size: float) -> State:
@@ -148,7 +148,7 @@ def by_definition(
             return warp(CAMERA, uv, s.inv_depth[h, p], s.relative(t, h)).centre
 
         T, d = state.relative(target, host), state.inv_depth[host, p]
-        warped = warp(CAMERA, uv, d, T, PATTERN)
+        warped = warp(CAMERA, uv, d, T, PATTERN, torch.from_numpy(points.slope[host, p]))
         value, g, inside = sample_with_gradient(image, warped.uv)
         delta_A = projective_distortion(d, warped.P, T)
         if not inside.all() or delta_A <= 0:

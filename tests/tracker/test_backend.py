@@ -140,6 +140,7 @@ def test_candidates(desk: Film, cases: list[Case], cell: int) -> None:
     planes, expected = (backend.planes_at(depth, uv, PLANE_RADIUS, 0.0025) for backend in (TORCH, FUSED))
     np.testing.assert_array_equal(planes[0], expected[0])
     close(planes[1], expected[1], 1e-10)
+    close(planes[2], expected[2], 1e-10)
 
 
 def test_patches(cases: list[Case]) -> None:

@@ -75,7 +75,7 @@ def test_gradients_and_thresholds(frame: Frame) -> None:
 
 def test_a_depth_plane_is_a_least_squares_fit(frame: Frame) -> None:
     uv = np.random.default_rng(0).integers(0, [320, 240], (1500, 2)).astype(np.float64)
-    valid, inv_depth = fused.planes_at(frame.depth, uv, PLANE_RADIUS, SIGMA)
+    valid, inv_depth, _ = fused.planes_at(frame.depth, uv, PLANE_RADIUS, SIGMA)
     slow = [slow_plane(frame.depth, int(u), int(v)) for u, v in uv]
     assert valid.tolist() == [d is not None for d in slow]
     assert 0.4 < valid.mean() < 0.95
@@ -88,10 +88,10 @@ def test_the_plane_is_exact_on_a_slanted_wall_and_beats_one_reading() -> None:
     wall = 0.5 + 0.002 * u - 0.001 * v
     uv = np.column_stack([x.ravel() for x in np.meshgrid(np.arange(5, 75, 5.0), np.arange(5, 55, 5.0))])
     truth = 0.5 + 0.002 * uv[:, 0] - 0.001 * uv[:, 1]
-    valid, exact = fused.planes_at((1 / wall).astype(np.float32), uv, PLANE_RADIUS, SIGMA)
-    assert valid.all() and np.abs(exact - truth).max() < 1e-6
+    valid, exact, slope = fused.planes_at((1 / wall).astype(np.float32), uv, PLANE_RADIUS, SIGMA)
+    assert valid.all() and np.abs(exact - truth).max() < 1e-6 and np.abs(slope - [0.002, -0.001]).max() < 1e-6
     noisy = (1 / (wall + 0.8 * SIGMA * rng.standard_normal(wall.shape))).astype(np.float32)
-    valid, fitted = fused.planes_at(noisy, uv, PLANE_RADIUS, SIGMA)
+    valid, fitted, _ = fused.planes_at(noisy, uv, PLANE_RADIUS, SIGMA)
     assert valid.mean() > 0.9
     assert np.std((fitted - truth)[valid]) < 0.25 * 0.8 * SIGMA  # 1 / 7 for 49 independent readings
 

@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import torch
 from rendered import Film
-from window_cases import MM, Desk, make_desk
+from window_cases import MM
 
-from idrgbdo_torch.config import Config
+from idrgbdo_torch.config import Config, WindowConfig
 from idrgbdo_torch.definitions import se3
-from idrgbdo_torch.evaluation import evaluate
-from idrgbdo_torch.kernels.se3 import inverse, log_se3, retract
+from idrgbdo_torch.kernels.se3 import adjoint, inverse, log_se3, retract
 from idrgbdo_torch.odometry import run
 from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 from idrgbdo_torch.tracker.smoothing import between, departure, followed, smooth_keyframes
-
-
-@pytest.fixture(scope="module")
-def keyed(desk: Film) -> Desk:
-    return make_desk(desk)
 
 
 def random_poses(count: int, seed: int) -> np.ndarray:
@@ -51,15 +44,19 @@ def test_what_left_goes_where_the_whole_system_would_have_put_it() -> None:
         assert np.abs(log_se3(smoothed[k] @ inverse(expected[k]))).max() < 1e-8
 
 
-def test_what_moves_as_a_whole_takes_what_left_along(keyed: Desk) -> None:
-    window = keyed.window(6)
-    window.optimise()
-    (_, _, left), *_ = window.shrink()
-    push = np.array([2 * MM, -1 * MM, 3 * MM, 0.01, -0.02, 0.005])
-    T_new_old = retract(push, np.eye(4))  # another world
-    pose = followed(left, left.T_others @ T_new_old)
-    # not to the last digit: the first keyframe's prior knows the old world, and the motion is not small
-    assert np.abs(log_se3(pose @ inverse(left.T @ T_new_old))[:3]).max() < 0.5 * MM
+def test_what_moves_as_a_whole_takes_what_left_along() -> None:
+    """Measured are relative poses alone, so that any world is as good as another."""
+    K, T = 4, random_poses(4, 5)
+    H = np.zeros((6 * K, 6 * K))
+    for i in range(K):
+        for j in range(i):
+            J = np.zeros((6, 6 * K))
+            J[:, 6 * i : 6 * i + 6], J[:, 6 * j : 6 * j + 6] = np.eye(6), -adjoint(T[i] @ inverse(T[j]))
+            H += J.T @ random_information(1) @ J
+    left = departure(T, H, 2)
+    T_new_old = retract(np.array([1, -2, 3, 1, 2, -1]) * 1e-5, np.eye(4))
+    moved = log_se3(followed(left, left.T_others @ T_new_old) @ inverse(left.T))
+    np.testing.assert_allclose(moved, log_se3(left.T @ T_new_old @ inverse(left.T)), atol=1e-8)
 
 
 def test_a_keyframe_without_information_stays() -> None:
@@ -79,14 +76,15 @@ def test_a_frame_takes_its_share_of_the_later_keyframes_correction() -> None:
     assert np.abs(between(T_next_kf, T_kf, T_next_kf, T_next, 1.0) - T_next).max() < 1e-12
 
 
-def test_hindsight_is_better(desk: Film) -> None:
-    odometry = IdRgbdo(Config())
-    odometry.reset(desk.groundtruth.T_world_cam[0])
+def test_a_keyframe_s_own_frame_is_where_the_keyframe_is(desk: Film) -> None:
+    odometry = IdRgbdo(Config(window=WindowConfig(keyframes=3)))
     done = run(odometry, desk.frames)
-    causal, refined = (evaluate(t, desk.groundtruth) for t in (done.trajectory(), odometry.trajectory()))
-    assert refined.ate.rmse_m < 0.95 * causal.ate.rmse_m
-    keyframes = [number for number, record in enumerate(done.records) if record.result.keyframe]
+    numbers = [number for number, record in enumerate(done.records) if record.result.keyframe]
     smoothed = smooth_keyframes(odometry.history.keyframe_poses, odometry.history.departures)
-    assert len(odometry.history.departures) == len(keyframes) - odometry.config.window.keyframes > 3
-    for frame, pose in zip(keyframes, smoothed, strict=True):  # a keyframe's own frame is where the keyframe is
-        assert np.abs(odometry.trajectory().T_world_cam[frame].numpy() - inverse(pose)).max() < 1e-9
+    assert len(odometry.history.departures) == len(numbers) - odometry.config.window.keyframes > 1
+    refined = odometry.trajectory().T_world_cam.numpy()
+    for number, pose in zip(numbers, smoothed, strict=True):
+        assert np.abs(refined[number] - inverse(pose)).max() < 1e-9
+    causal = done.trajectory().T_world_cam.numpy()
+    moved = [np.abs(log_se3(inverse(a) @ b)[:3]).max() for a, b in zip(causal[numbers], refined[numbers], strict=True)]
+    assert 0.05 * MM < max(moved) < 5 * MM  # later keyframes taught something

@@ -13,6 +13,7 @@ from window_cases import CONFIG, DEGREE, FUSED, MM, Desk, make_desk, twists
 from idrgbdo_torch.config import WindowConfig
 from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.definitions.marginalization import LinearPrior, prior_gradient, redundancy_bits
+from idrgbdo_torch.kernels.se3 import adjoint, inverse
 from idrgbdo_torch.measurement import STEP
 from idrgbdo_torch.tracker.window import PROTECTED
 
@@ -42,7 +43,7 @@ def test_the_window_keeps_its_size_and_its_newest(keyed: Desk) -> None:
 
 
 def test_removal_takes_the_most_redundant_or_the_oldest(keyed: Desk) -> None:
-    window = keyed.window(6)
+    window = keyed.window(6, config=replace(CONFIG, window=WindowConfig(keyframes=5, removal="information")))
     window.optimise()
     k = window.least_useful(window.pose_information())
     H, _ = FUSED.eliminate_depths(window.system)
@@ -54,6 +55,35 @@ def test_removal_takes_the_most_redundant_or_the_oldest(keyed: Desk) -> None:
     oldest = keyed.window(6, config=replace(CONFIG, window=WindowConfig(keyframes=5, removal="oldest")))
     oldest.optimise()
     assert oldest.least_useful(oldest.pose_information()) == 0
+
+
+def test_removal_takes_who_tells_the_next_view_least(keyed: Desk) -> None:
+    """A view at the newest keyframe, joined to the system with its links, and without one of them."""
+    window = keyed.window(6)
+    window.optimise()
+    information, K = window.pose_information(), 6
+    T = window.members.T
+    links = []
+    for k in [0, 1, 2, 3, 4, 4]:  # of the last pair also as those of the view and the newest
+        A = -window.system.H[STEP * 5 : STEP * 5 + 6, STEP * k : STEP * k + 6] @ np.linalg.inv(
+            adjoint(T[5] @ inverse(T[k]))
+        )
+        links.append(0.5 * (A + A.T))
+
+    def view_information(without: int) -> float:
+        joint = np.zeros((6 * K + 6,) * 2)
+        joint[:-6, :-6] = information
+        for k in range(K):
+            if k != without:
+                J = np.zeros((6, 6 * K + 6))
+                J[:, -6:], J[:, 6 * k : 6 * k + 6] = np.eye(6), -adjoint(T[5] @ inverse(T[k]))
+                joint += J.T @ links[k] @ J
+        return float(np.linalg.slogdet(np.linalg.inv(np.linalg.inv(joint)[-6:, -6:]))[1])
+
+    everything = view_information(-1)
+    expected = [0.5 * (everything - view_information(k)) / np.log(2) for k in range(K)]
+    np.testing.assert_allclose(window.next_view_bits(information), expected, rtol=0.01, atol=1e-4)
+    assert window.least_useful(information) == int(np.argmin(expected[:4]))
 
 
 def test_a_keyframe_out_of_sight_goes_first(keyed: Desk) -> None:
