@@ -9,7 +9,7 @@ from ..errors import IdRgbdoError
 from .camera import Pinhole
 from .points import HostPoints
 
-GRAY_ROOM = 64  # gray levels that noise or interpolation may add to 0..255
+GRAY_ROOM = 512  # gray levels beyond 0..255 that noise, interpolation or a change of exposure may make
 DARK_LEVELS = 32  # different values up to 1 in an image that is merely dark
 FARTHEST_M = 100.0  # median depth
 LEAST_VIEW = 0.3  # share of the points that the target must see
