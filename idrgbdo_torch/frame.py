@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -110,22 +109,18 @@ def _native(image: Tensor | Image) -> Any:
     return image.to(torch.int32) if image.dtype == torch.uint16 else image
 
 
-def check_next(rgbd: RgbdFrame, times: Sequence[float], camera: Pinhole | None) -> None:
-    """What an odometry can't take from its caller: depth in no metres at the start, times that do not go on, images of
-    another size than before. times: of the frames before, s. camera: theirs, None where there is no keyframe yet.
-    Raises IdRgbdoError; a bad image, on the other hand, is a lost frame.
+def check_next(rgbd: RgbdFrame, before: Pinhole | None) -> None:
+    """What an odometry can't take from its caller: depth in no metres at the start, images of another size than before.
+
+    before: the camera of the frames before, None where there is no keyframe yet. Raises IdRgbdoError; a bad image, on the
+    other hand, is a lost frame, and a clock that stands still or goes back says nothing of the motion.
     """
-    if camera is None:
+    if before is None:
         check_metres(rgbd.depth)
-    elif (camera.width, camera.height) != (rgbd.camera.width, rgbd.camera.height):
+    elif (before.width, before.height) != (rgbd.camera.width, rgbd.camera.height):
         raise IdRgbdoError(
-            f"camera: expected images of {camera.width}x{camera.height} as before, got "
+            f"camera: expected images of {before.width}x{before.height} as before, got "
             f"{rgbd.camera.width}x{rgbd.camera.height}; call reset() for another camera"
-        )
-    if times and not rgbd.timestamp > times[-1]:
-        raise IdRgbdoError(
-            f"timestamp: expected more than the {times[-1]:.6f} s of the frame before, got {rgbd.timestamp:.6f}; "
-            "give the frames in order, or call reset() for another recording"
         )
 
 

@@ -63,8 +63,7 @@ def test_gray_and_times_in_other_units_are_refused_and_darkness_is_not() -> None
     with pytest.raises(IdRgbdoError, match="0 to 65535"):
         RgbdFrame(0.0, (65535 * gray).index_put((torch.tensor(0), torch.tensor([0, 1])), torch.tensor([0.0, 65535.0])),
                   depth, camera)  # fmt: skip
-    with pytest.raises(IdRgbdoError, match="expected finite gray levels"):
-        RgbdFrame(0.0, gray * torch.nan, depth, camera)
+    RgbdFrame(0.0, gray * torch.nan, depth, camera)  # a broken image is no other unit: tracking loses it
     with pytest.raises(IdRgbdoError, match="divide milliseconds"):
         RgbdFrame(1612345678000.0, 255 * gray, depth, camera)
     with pytest.raises(IdRgbdoError, match="color: expected"):
@@ -81,8 +80,6 @@ def test_track_refuses_what_it_cannot_mean(desk: Film) -> None:
     with pytest.raises(IdRgbdoError, match="depth: expected metres"):
         odometry.track(far)
     odometry.track(first)
-    with pytest.raises(IdRgbdoError, match="timestamp: expected more than"):
-        odometry.track(first)
     half = second.camera.at_level(1)
     small = RgbdFrame(second.timestamp, second.gray[::2, ::2], second.depth[::2, ::2], half)
     with pytest.raises(IdRgbdoError, match="camera: expected images of"):

@@ -19,10 +19,10 @@ LARGEST_GAIN = 1.0  # of the logarithm; both since with no contrast left, a blac
 
 
 def check_gray(gray: Tensor) -> None:
-    """Raises IdRgbdoError where (..., H, W) are no gray levels 0..255, but numbers in 0..1, 16 bits or not finite."""
+    """Raises IdRgbdoError where (..., H, W) are no gray levels 0..255, but numbers in 0..1 or 16 bits. Values that are not numbers pass."""
     low, high = (float(value) for value in gray.detach().aminmax())
-    if not (low >= -GRAY_ROOM and high <= 255 + GRAY_ROOM):
-        raise IdRgbdoError(f"gray: expected finite gray levels 0..255, got {low:g} to {high:g}; scale the image")
+    if low < -GRAY_ROOM or high > 255 + GRAY_ROOM:
+        raise IdRgbdoError(f"gray: expected gray levels 0..255, got {low:g} to {high:g}; scale the image")
     # a dark image has few levels below 1, a bright one divided by 255 has many
     if low >= 0 and 0 < high <= 1 and len(set(gray.detach()[..., ::4, ::4].flatten().tolist())) > DARK_LEVELS:
         raise IdRgbdoError(f"gray: expected gray levels 0..255, got at most {high:g}; multiply the image by 255")
@@ -50,8 +50,7 @@ def checked_targets(
                 f"got {tuple(image.shape)}; pass the camera of these images (camera.at_level(1) for half the size)"
             )
     gray = gray if gray.is_floating_point() else gray.float()
-    if bool(gray.isfinite().all()):  # a pair with a value that is not finite is not ok, the others are
-        check_gray(gray)
+    check_gray(gray)
     if float(points.patch[0].detach().amax()) <= 1 < float(gray.detach().amax()):
         raise IdRgbdoError("points: expected patches of gray levels 0..255, got 0..1; multiply the images by 255")
     known = points.inverse_depth.detach()

@@ -66,7 +66,7 @@ class IdRgbdo:
 
     def track(self, rgbd: RgbdFrame) -> TrackResult:
         """The pose of the next frame (sections 4 and 5). Raises IdRgbdoError for what check_next refuses."""
-        check_next(rgbd, self.history.times, self.reference.keyframe.frame.camera if self.reference else None)
+        check_next(rgbd, self.reference.keyframe.frame.camera if self.reference else None)
         frame = prepare(rgbd)
         if self.reference is None:
             return self._start_segment(frame, "too few points with depth and texture to start from")
