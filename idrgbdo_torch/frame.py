@@ -112,8 +112,8 @@ def _native(image: Tensor | Image) -> Any:
 def check_next(rgbd: RgbdFrame, before: Pinhole | None) -> None:
     """What an odometry can't take from its caller: depth in no metres at the start, images of another size than before.
 
-    before: the camera of the frames before, None where there is no keyframe yet. Raises IdRgbdoError; a bad image, on the
-    other hand, is a lost frame, and a clock that stands still or goes back says nothing of the motion.
+    before: the camera of the frames before, None where there is no keyframe yet. Raises IdRgbdoError; a bad image, on
+    the other hand, is a lost frame, and a clock that stands still or goes back says nothing of the motion.
     """
     if before is None:
         check_metres(rgbd.depth)

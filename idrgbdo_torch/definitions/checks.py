@@ -19,7 +19,7 @@ LARGEST_GAIN = 1.0  # of the logarithm; both since with no contrast left, a blac
 
 
 def check_gray(gray: Tensor) -> None:
-    """Raises IdRgbdoError where (..., H, W) are no gray levels 0..255, but numbers in 0..1 or 16 bits. Values that are not numbers pass."""
+    """Raises IdRgbdoError where (..., H, W) are no gray levels 0..255, but numbers in 0..1 or 16 bits; NaN passes."""
     low, high = (float(value) for value in gray.detach().aminmax())
     if low < -GRAY_ROOM or high > 255 + GRAY_ROOM:
         raise IdRgbdoError(f"gray: expected gray levels 0..255, got {low:g} to {high:g}; scale the image")
