@@ -12,7 +12,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from .clock import NO_SECONDS
 from .definitions.camera import Pinhole
+from .definitions.checks import check_gray, check_metres
 from .errors import IdRgbdoError
 from .measurement import COARSE_BLUR, LEVELS, Points, View
 
@@ -34,13 +36,92 @@ class RgbdFrame:
     color: Tensor | None = None
 
     def __post_init__(self) -> None:
+        """Raises IdRgbdoError for images of another type or size than said, and for gray levels and times that are
+        none. Depth that is NaN, infinite or negative becomes 0; numpy arrays become tensors.
+        """
         size = (self.camera.height, self.camera.width)
+        for name in ("gray", "depth", "color"):
+            if isinstance(getattr(self, name), np.ndarray):
+                object.__setattr__(self, name, torch.from_numpy(np.ascontiguousarray(getattr(self, name))))
         for name, image in (("gray", self.gray), ("depth", self.depth)):
             if image.dtype != torch.float32 or tuple(image.shape) != size:
                 raise IdRgbdoError(
                     f"{name}: expected a float32 tensor of shape {size} (the camera's height, width), "
-                    f"got {image.dtype} {tuple(image.shape)}; convert it or pass the matching camera"
+                    f"got {image.dtype} {tuple(image.shape)}; convert it (RgbdFrame.from_images takes colour and depth "
+                    "as cameras give them) or pass the matching camera"
                 )
+        if self.color is not None and (self.color.dtype != torch.uint8 or tuple(self.color.shape) != (*size, 3)):
+            raise IdRgbdoError(
+                f"color: expected a uint8 tensor of shape {(*size, 3)}, red green blue, got {self.color.dtype} "
+                f"{tuple(self.color.shape)}; convert it, or leave it out"
+            )
+        if not abs(self.timestamp) <= NO_SECONDS:
+            raise IdRgbdoError(
+                f"timestamp: expected seconds, got {self.timestamp:g}; divide milliseconds by 1e3, nanoseconds by 1e9"
+            )
+        check_gray(self.gray)
+        if not bool((torch.stack(self.depth.aminmax()) >= 0).all()) or not bool(self.depth.amax().isfinite()):
+            there = self.depth.isfinite() & (self.depth > 0)
+            object.__setattr__(self, "depth", torch.where(there, self.depth, 0.0))
+
+    @classmethod
+    def from_images(
+        cls,
+        timestamp: float,
+        rgb: Tensor | Image,
+        depth: Tensor | Image,
+        camera: Pinhole,
+        depth_scale: float | None = None,
+    ) -> RgbdFrame:
+        """A frame of the images that a camera's driver gives, tensors or numpy arrays.
+
+        rgb: (H, W, 3) or (3, H, W) uint8, red green blue, or (H, W) uint8 gray. depth: (H, W), registered to rgb,
+        float (metres unless depth_scale says otherwise) or integer, for which depth_scale says how many make a metre:
+        1000 where they are millimetres, 5000 in TUM's files. Raises IdRgbdoError for anything else.
+        """
+        color, z = (torch.as_tensor(_native(image)) for image in (rgb, depth))
+        size = (camera.height, camera.width)
+        if color.dim() == 3 and tuple(color.shape) == (3, *size):
+            color = color.permute(1, 2, 0)
+        if color.dtype != torch.uint8 or tuple(color.shape) not in ((*size, 3), size):
+            raise IdRgbdoError(
+                f"rgb: expected uint8 of shape {(*size, 3)} or {size} (the camera's height, width), got {color.dtype} "
+                f"{tuple(color.shape)}; convert it (a float image in 0..1: times 255) or pass the matching camera"
+            )
+        if depth_scale is not None and not 0 < depth_scale < float("inf"):
+            raise IdRgbdoError(f"depth_scale: expected depth values per metre, above 0, got {depth_scale}; change it")
+        if depth_scale is None and not z.dtype.is_floating_point:
+            raise IdRgbdoError(
+                f"depth_scale: expected the values per metre of {z.dtype} depth, got none; pass 1000 for millimetres"
+            )
+        metres = z.to(torch.float32) / (depth_scale or 1.0)
+        color = color.contiguous()
+        if color.dim() == 2:
+            return cls(timestamp, color.float(), metres, camera, color[..., None].expand(*size, 3).contiguous())
+        gray = cv2.cvtColor(color.numpy().astype(np.float32), cv2.COLOR_RGB2GRAY)  # ITU-R BT.601
+        return cls(timestamp, torch.from_numpy(gray), metres, camera, color)
+
+
+def _native(image: Tensor | Image) -> Any:
+    """The image for torch.as_tensor, contiguous; uint16 as int32, with which torch can calculate."""
+    if isinstance(image, np.ndarray):
+        return np.ascontiguousarray(image.astype(np.int32) if image.dtype == np.uint16 else image)
+    return image.to(torch.int32) if image.dtype == torch.uint16 else image
+
+
+def check_next(rgbd: RgbdFrame, before: Pinhole | None) -> None:
+    """What an odometry can't take from its caller: depth in no metres at the start, images of another size than before.
+
+    before: the camera of the frames before, None where there is no keyframe yet. Raises IdRgbdoError; a bad image, on
+    the other hand, is a lost frame, and a clock that stands still or goes back says nothing of the motion.
+    """
+    if before is None:
+        check_metres(rgbd.depth)
+    elif (before.width, before.height) != (rgbd.camera.width, rgbd.camera.height):
+        raise IdRgbdoError(
+            f"camera: expected images of {before.width}x{before.height} as before, got "
+            f"{rgbd.camera.width}x{rgbd.camera.height}; call reset() for another camera"
+        )
 
 
 @dataclass(frozen=True)

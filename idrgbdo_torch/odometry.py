@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -14,6 +16,8 @@ from torch import Tensor
 from .definitions.se3 import exp, inverse
 from .frame import BrokenFrame, RgbdFrame
 from .trajectory import Trajectory
+
+PARTICULARS = re.compile(r"'[^']*'|\d+(?:\.\d+)?")  # names between quotes, and numbers
 
 
 class Status(Enum):
@@ -39,6 +43,27 @@ class TrackResult:
     iterations: int = 0
     entropy_bits: tuple[float, ...] = ()  # per degree of freedom [v, w], bits
     segment: int = 0  # grows by one when a lost track starts anew
+
+    @property
+    def covariance(self) -> Tensor:
+        """(6, 6) float64 of a left increment [v, w] of T_cam_ref, the inverse of the information: m^2, rad^2, m rad.
+
+        There is one for every frame. The first frame defines the world: zeros. Of a lost frame nothing is known:
+        infinite on the diagonal, as it is where the information has no inverse. A method that does not say how certain
+        it is gives NaN.
+        """
+        nothing = torch.diag(torch.full((6,), torch.inf, dtype=torch.float64))
+        if self.status is Status.LOST:
+            return nothing
+        if self.information is None:
+            first = self.status is Status.OK and self.T_ref_cam is None
+            return torch.full((6, 6), 0.0 if first else torch.nan, dtype=torch.float64)
+        information = self.information.double()
+        spread = information.diagonal().clamp(min=1e-300).rsqrt()  # metres and radians made alike, then inverted
+        factor, failed = torch.linalg.cholesky_ex(spread[:, None] * information * spread)
+        if int(failed) or not bool(factor.isfinite().all()):
+            return nothing
+        return spread[:, None] * torch.cholesky_inverse(factor) * spread
 
 
 class Odometry(Protocol):
@@ -67,6 +92,20 @@ class Alignment:
 
 
 Align = Callable[[RgbdFrame, RgbdFrame, Tensor], Alignment]  # source, target, guess of T_target_source
+
+
+def lost_because(records: Iterable[Record]) -> dict[str, int]:
+    """Why frames were lost and how many, the commonest first.
+
+    Reasons that differ only in numbers and in names between quotes are one kind; what differs becomes "...".
+    """
+    kinds: dict[str, Counter[str]] = {}
+    for record in records:
+        if record.result.status is Status.LOST:
+            kind = PARTICULARS.sub(lambda found: "'...'" if found[0][0] == "'" else "...", record.result.reason)
+            kinds.setdefault(kind, Counter())[record.result.reason] += 1
+    counts = {(next(iter(each)) if len(each) == 1 else kind): each.total() for kind, each in kinds.items()}
+    return dict(sorted(counts.items(), key=lambda item: -item[1]))
 
 
 def poses_to_trajectory(timestamps: Sequence[float], poses: Sequence[Tensor]) -> Trajectory:

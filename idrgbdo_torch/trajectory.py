@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import torch
 from torch import Tensor
 
 from .errors import IdRgbdoError
+from .tum_text import read_rows
 
 TUM_HEADER = "# timestamp tx ty tz qx qy qz qw (camera to world, seconds and metres)\n"
 
@@ -20,6 +20,7 @@ class Trajectory:
 
     timestamps: Tensor  # (N,) float64 seconds, increasing
     T_world_cam: Tensor  # (N, 4, 4) float64
+    notes: tuple[str, ...] = ()  # what a reader should know: other units, repeated times; sentences
 
     def __post_init__(self) -> None:
         times, poses = self.timestamps, self.T_world_cam
@@ -49,7 +50,7 @@ class Trajectory:
 
     def at(self, indices: Tensor) -> Trajectory:
         """The poses at (M,) increasing indices (or a boolean mask)."""
-        return Trajectory(self.timestamps[indices], self.T_world_cam[indices])
+        return Trajectory(self.timestamps[indices], self.T_world_cam[indices], self.notes)
 
 
 def rotation_from_quaternion(quaternion: Tensor) -> Tensor:
@@ -97,50 +98,18 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
 def read_tum(path: Path) -> Trajectory:
     """Read TUM text: `timestamp tx ty tz qx qy qz qw` a line, # for comments, commas and tabs as good as blanks.
 
-    Like the TUM tools it sorts by time, keeps the last of equal times, and leaves out poses that are marked invalid
-    (a zero quaternion or a NaN).
-    Raises IdRgbdoError with file and line for anything else that is not eight numbers with a unit quaternion.
+    Timestamps above 1e11 are milliseconds, microseconds or nanoseconds, and become seconds. Like the TUM tools it sorts
+    by time, keeps the last of equal times, and leaves out poses that are marked invalid (a zero quaternion or a NaN);
+    `notes` of the result says what of this was done.
+    Raises IdRgbdoError with file and line for anything else that is not eight numbers with a unit quaternion, for
+    timestamps that are no clock, and where a second run follows the first.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise IdRgbdoError(f"trajectory: cannot read '{path}': {error}; pass a text file in TUM format") from error
-    poses: dict[float, list[float]] = {}
-    for number, line in enumerate(text.splitlines(), start=1):
-        row = _tum_row(line, f"{path}, line {number}")
-        if row is not None:
-            poses[row[0]] = row[1:]
-    if not poses:
-        raise IdRgbdoError(f"trajectory: '{path}' holds no pose; expected lines `timestamp tx ty tz qx qy qz qw`")
-    times = sorted(poses)
-    rows = torch.tensor([poses[time] for time in times], dtype=torch.float64)  # (N, 7)
-    T_world_cam = torch.eye(4, dtype=torch.float64).repeat(len(times), 1, 1)
+    found = read_rows(path)
+    rows = torch.tensor(found.poses, dtype=torch.float64)  # (N, 7)
+    T_world_cam = torch.eye(4, dtype=torch.float64).repeat(len(rows), 1, 1)
     T_world_cam[:, :3, 3] = rows[:, :3]
     T_world_cam[:, :3, :3] = rotation_from_quaternion(rows[:, 3:])
-    return Trajectory(torch.tensor(times, dtype=torch.float64), T_world_cam)
-
-
-def _tum_row(line: str, where: str) -> list[float] | None:
-    """The eight numbers of a line; None for a comment, an empty line or a pose marked invalid."""
-    fields = line.replace(",", " ").split()
-    if not fields or fields[0].startswith("#"):
-        return None
-    try:
-        row = [float(field) for field in fields]
-    except ValueError as error:
-        raise IdRgbdoError(f"{where}: expected eight numbers, got '{line.strip()}'; correct the line") from error
-    if len(row) != 8:
-        raise IdRgbdoError(
-            f"{where}: expected `timestamp tx ty tz qx qy qz qw`, got {len(row)} numbers; correct the line"
-        )
-    length = math.hypot(*row[4:])
-    if length == 0 or any(math.isnan(value) for value in row):
-        return None
-    if not all(math.isfinite(value) for value in row) or abs(length - 1) > 0.05:
-        raise IdRgbdoError(
-            f"{where}: expected finite numbers and a unit quaternion, got length {length:.3g}; correct it"
-        )
-    return row
+    return Trajectory(torch.tensor(found.times, dtype=torch.float64), T_world_cam, found.notes)
 
 
 def associate(times_a: Tensor, times_b: Tensor, max_difference: float = 0.02) -> tuple[Tensor, Tensor]:

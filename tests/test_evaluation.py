@@ -48,6 +48,8 @@ def test_ate_and_rpe_are_the_tum_tools_to_the_last_published_digit(
     assert result.rpe is not None
     assert len(result.rpe.errors_m) == number("RPE", "compared_pose_pairs")
     assert result.rpe.rmse_m_per_s == pytest.approx(number("RPE", r"translational_error\.rmse"), abs=1e-6)
+    in_degrees = number("RPE", r"rotational_error\.rmse")
+    assert result.rpe.rmse_deg_per_s == pytest.approx(in_degrees, abs=2e-6)
     assert float(result.rpe.errors_m.mean()) == pytest.approx(number("RPE", r"translational_error\.mean"), abs=1e-6)
 
 
@@ -126,5 +128,97 @@ def test_k2fe_is_the_error_of_the_measured_relative_pose() -> None:
 
 def test_two_clocks_that_never_meet_are_an_error_that_says_how_far() -> None:
     truth = wavy()
-    with pytest.raises(IdRgbdoError, match=r"closest two are 7\.000 s apart"):
+    with pytest.raises(IdRgbdoError, match=r"from 10\.000 to 13\.000 s, the reference from 0\.000 to 3\.000 s"):
         evaluate(Trajectory(truth.timestamps + 10, truth.T_world_cam), truth)
+    between = Trajectory(truth.timestamps[:-1] + 0.5 / 30, truth.T_world_cam[:-1])
+    with pytest.raises(IdRgbdoError, match=r"closest two are 0\.017 s apart.*raise the limit"):
+        evaluate(between, truth, max_difference_s=0.01)
+    with pytest.raises(IdRgbdoError, match="the reference has only 1"):
+        evaluate(truth, truth.at(torch.tensor([3])))
+
+
+def noisy(truth: Trajectory, seed: int = 0) -> Trajectory:
+    generator = torch.Generator().manual_seed(seed)
+    xi = 0.01 * torch.randn(len(truth), 6, generator=generator, dtype=torch.float64)
+    return Trajectory(truth.timestamps, exp(xi) @ truth.T_world_cam)
+
+
+@pytest.mark.parametrize("relation", ["translation_part", "rotation_angle_deg"])
+def test_rpe_from_begin_to_end_is_evos(relation: str) -> None:
+    from evo.core import metrics
+    from evo.core.trajectory import PoseTrajectory3D
+
+    truth = wavy(count=120)
+    estimate = noisy(truth)
+    ours = relative_error(estimate, truth)
+    assert ours is not None
+    # evo knows no seconds: 30 frames at 30 Hz; it keeps the pair that ends at the last pose, the TUM tool does not
+    theirs = [
+        PoseTrajectory3D(poses_se3=[T.numpy() for T in t.T_world_cam[:-1]], timestamps=t.timestamps[:-1].numpy())
+        for t in (truth, estimate)
+    ]
+    rpe = metrics.RPE(metrics.PoseRelation[relation], delta=30, delta_unit=metrics.Unit.frames, all_pairs=True)
+    rpe.process_data(theirs)
+    assert len(ours.errors_m) == len(rpe.error) == 120 - 31
+    value = ours.rmse_evo_m_per_s if relation == "translation_part" else ours.rmse_deg_per_s
+    assert value == pytest.approx(rpe.get_statistic(metrics.StatisticsType.rmse), rel=1e-9)
+    assert ours.rmse_m_per_s != pytest.approx(ours.rmse_evo_m_per_s, rel=1e-3)  # another question
+
+
+def test_rpe_takes_only_poses_about_a_second_apart() -> None:
+    circle = torch.arange(0, 60, 0.01, dtype=torch.float64)
+
+    def at(times: torch.Tensor, scale: float) -> Trajectory:
+        poses = torch.eye(4, dtype=torch.float64).repeat(len(times), 1, 1)
+        poses[:, :2, 3] = scale * torch.stack([torch.cos(0.3 * times), torch.sin(0.3 * times)], dim=1)
+        return Trajectory(times, poses)
+
+    truth = at(circle, 1.0)
+    every = torch.arange(0, 60, 1 / 30, dtype=torch.float64)
+    dense = relative_error(at(every, 1.1), truth)
+    assert dense is not None
+    for times in (torch.arange(0, 60, 3.0), torch.arange(0, 60, 2.5), torch.arange(0, 60, 0.4)):
+        result = evaluate(at(times.double(), 1.1), truth)
+        assert result.rpe is None and "about 1 s apart" in result.no_rpe
+    mixed = torch.cat([every[:900], torch.arange(30, 60, 3.0, dtype=torch.float64)])
+    partly = relative_error(at(mixed, 1.1), truth)
+    assert partly is not None and len(partly.errors_m) < 900
+    assert partly.rmse_m_per_s == pytest.approx(dense.rmse_m_per_s, rel=0.01)
+
+
+def test_rpe_of_an_exact_estimate_is_nothing_where_the_reference_is_sparse() -> None:
+    truth = wavy(count=151)
+    sparse = truth.at(torch.arange(0, 151, 6))
+    result = evaluate(truth, sparse)
+    assert result.rpe is not None and result.rpe.rmse_m_per_s < 1e-9
+    assert len(result.rpe.errors_m) == 20  # every sixth begins where there is a reference pose, one ends at the last
+    assert (result.matched_poses, result.poses) == (26, 151)
+    gap = truth.at(torch.cat([torch.arange(10), torch.arange(140, 151)]))
+    result = evaluate(truth, gap)
+    assert result.rpe is None and "reference pose within 0.02 s" in result.no_rpe
+
+
+def test_a_reference_of_positions_only_gives_ate_but_neither_rpe_nor_k2fe() -> None:
+    truth = wavy()
+    bare = truth.T_world_cam.clone()
+    bare[:, :3, :3] = torch.eye(3, dtype=torch.float64)
+    positions = Trajectory(truth.timestamps, bare)
+    measured = [Measurement(0.5, 0.2, torch.eye(4, dtype=torch.float64))]
+    result = evaluate(truth, positions, measured)
+    assert result.ate.rmse_m < 1e-12
+    assert result.rpe is None and "the reference has positions only" in result.no_rpe
+    assert result.k2fe is None
+    swapped = evaluate(positions, truth)
+    assert swapped.rpe is None and "the estimate has positions only" in swapped.no_rpe
+    assert evaluate(positions, positions).rpe is not None  # a camera that does not turn
+
+
+def test_angles_near_nothing_are_exact() -> None:
+    truth = wavy()
+    turned = truth.T_world_cam.clone()
+    drift = torch.zeros(len(truth), 6, dtype=torch.float64)
+    drift[:, 4] = 1e-7 * truth.timestamps
+    still = Trajectory(truth.timestamps, torch.eye(4, dtype=torch.float64).expand_as(turned))
+    result = relative_error(Trajectory(truth.timestamps, exp(drift)), still)
+    assert result is not None
+    assert result.errors_rad.tolist() == pytest.approx([1e-7] * len(result.errors_rad), rel=1e-6)

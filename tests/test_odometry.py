@@ -10,7 +10,16 @@ import torch
 from idrgbdo_torch.definitions.camera import Pinhole
 from idrgbdo_torch.definitions.se3 import exp, inverse
 from idrgbdo_torch.frame import BrokenFrame, RgbdFrame
-from idrgbdo_torch.odometry import Alignment, ConstantVelocity, FrameToFrame, Record, Status, TrackResult, run
+from idrgbdo_torch.odometry import (
+    Alignment,
+    ConstantVelocity,
+    FrameToFrame,
+    Record,
+    Status,
+    TrackResult,
+    lost_because,
+    run,
+)
 from idrgbdo_torch.trajectory import Trajectory
 
 CAMERA = Pinhole(width=8, height=6, fx=8, fy=8, cx=3.5, cy=2.5)
@@ -177,3 +186,33 @@ def test_records_reach_the_callback_as_they_come() -> None:
     with pytest.raises(KeyboardInterrupt):
         run(Worker(clock, interrupted_at=2.0), clock.frames(4), seen.append)
     assert [record.timestamp for record in seen] == [0, 1]
+
+
+def test_every_frame_has_a_covariance() -> None:
+    odometry = FrameToFrame(failing_at(lambda source, target: target == 2.0))
+    results = [odometry.track(frame(float(t))) for t in range(4)]
+    assert bool((results[0].covariance == 0).all())  # it is where the world begins
+    assert_close(results[1].covariance, torch.eye(6, dtype=torch.float64))
+    assert bool(results[2].covariance.diagonal().isinf().all())
+    skewed = torch.diag(torch.tensor([1e8, 1e8, 1e6, 1e10, 1e10, 1e9], dtype=torch.float64))
+    skewed[0, 4] = skewed[4, 0] = 5e8
+    measured = TrackResult(EYE, Status.OK, T_ref_cam=EYE, information=skewed)
+    torch.testing.assert_close(measured.covariance @ skewed, torch.eye(6, dtype=torch.float64), rtol=0, atol=1e-9)
+    nothing = TrackResult(EYE, Status.WEAK, T_ref_cam=EYE, information=0 * skewed)
+    assert bool(nothing.covariance.diagonal().isinf().all())
+    assert bool(ConstantVelocity().track(frame(0.0)).covariance.isnan().all())  # it does not say
+
+
+def test_reasons_for_losses_are_grouped_by_kind() -> None:
+    def lost(reason: str) -> Record:
+        return Record(0.0, TrackResult(EYE, Status.LOST, reason), 0.0, None)
+
+    missing = [lost(f"colour: cannot read '/a/rgb/{k:06d}.png': no such file") for k in range(98)]
+    others = [lost("only 34% of the points agree"), lost("only 7% of the points agree"), lost("no depth at all")]
+    weak = Record(0.0, TrackResult(EYE, Status.WEAK, "dim"), 0.0, 1.0)
+    assert lost_because([*others, *missing, weak]) == {
+        "colour: cannot read '...': no such file": 98,
+        "only ...% of the points agree": 2,
+        "no depth at all": 1,
+    }
+    assert lost_because(missing[:1]) == {"colour: cannot read '/a/rgb/000000.png': no such file": 1}

@@ -77,6 +77,91 @@ def test_reading_sorts_skips_invalid_poses_and_takes_the_last_of_equal_times(tmp
     assert trajectory.positions.tolist() == [[1, 2, 3], [0, 0, 0]]
 
 
+def written(folder: Path, stamps: list[object], tail: str = "0 0 0 0 0 0 1") -> Path:
+    path = folder / "a.txt"
+    path.write_text("".join(f"{stamp} {k} {tail[2:]}\n" for k, stamp in enumerate(stamps)))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("stamps", "unit"),
+    [
+        ([1612345678 + 0.25 * k for k in range(20)], None),
+        ([0.25 * k for k in range(20)], None),
+        (list(range(20)), None),  # numbers of frames
+        ([1612345678000 + 250 * k for k in range(20)], "milliseconds"),
+        ([f"{1612345678000 + 250 * k:.3f}" for k in range(20)], "milliseconds"),
+        ([1612345678000000 + 250000 * k for k in range(20)], "microseconds"),
+        ([1612345678000000000 + 250000000 * k for k in range(20)], "nanoseconds"),
+        ([f"{1612345678 + k:d}e9" for k in range(20)], "nanoseconds"),
+        ([5400000000000 + 250000000 * k for k in range(20)], "nanoseconds"),  # since the machine was started
+        ([250000000 * k for k in range(20)], "nanoseconds"),  # since the recording was
+        ([250000 * k for k in range(20)], "microseconds"),
+    ],
+)
+def test_units_of_time_are_recognised_and_said(tmp_path: Path, stamps: list[object], unit: str | None) -> None:
+    trajectory = read_tum(written(tmp_path, stamps))
+    step = 1.0 if stamps == list(range(20)) or "e9" in str(stamps[0]) else 0.25
+    torch.testing.assert_close(trajectory.timestamps.diff(), torch.full((19,), step).double(), rtol=0, atol=1e-6)
+    said = () if unit is None else (f"the timestamps of 'a.txt' are {unit} and are read as such",)
+    assert trajectory.notes == said
+    assert trajectory.at(torch.arange(3)).notes == said
+
+
+def test_numbers_of_poses_are_no_times(tmp_path: Path) -> None:
+    with pytest.raises(IdRgbdoError, match="18295873486192640 and so on, one by one, which are numbers"):
+        read_tum(written(tmp_path, [18295873486192640 + k for k in range(20)]))
+
+
+def test_two_runs_in_one_file_are_refused_and_repetitions_said(tmp_path: Path) -> None:
+    run = [0.1 * k for k in range(30)]
+    for second in (run, run[:8], [time + 0.03 for time in run]):
+        with pytest.raises(IdRgbdoError, match=r"at line 31 the time goes back .*two runs in one file; split it there"):
+            read_tum(written(tmp_path, [*run, *second]))
+    path = written(tmp_path, run)
+    path.write_text(path.read_text() * 2)  # the same file twice does no harm
+    trajectory = read_tum(path)
+    assert len(trajectory) == 30 and "30 of the timestamps of 'a.txt' repeat an earlier one, with the same pose" in (
+        trajectory.notes
+    )
+    trajectory = read_tum(written(tmp_path, [*run[:20], run[19], *run[20:]]))
+    assert len(trajectory) == 30 and "1 of the timestamps" in trajectory.notes[0]
+    assert float(trajectory.positions[19, 0]) == 20  # the last, as the TUM tools have it
+
+
+def test_poses_out_of_order_are_sorted_and_said(tmp_path: Path) -> None:
+    run = [0.1 * k for k in range(30)]
+    for stamps in ([*run[15:], *run[:15]], run[::-1], [*run[:9], run[10], run[9], *run[11:]]):
+        trajectory = read_tum(written(tmp_path, stamps))
+        torch.testing.assert_close(trajectory.timestamps, torch.tensor(run, dtype=torch.float64))
+        assert len(trajectory.notes) == 1 and "sorted by time" in trajectory.notes[0]
+    assert read_tum(written(tmp_path, run)).notes == ()
+
+
+@pytest.mark.parametrize("dialect", ["comma", "semicolon", "csv", "trailing", "bom", "utf16", "exponents", "windows"])
+def test_dialects_of_text_give_the_same_poses(tmp_path: Path, dialect: str) -> None:
+    trajectory = Trajectory(torch.arange(5, dtype=torch.float64) / 3, random_poses(5))
+    path = tmp_path / "a.txt"
+    write_tum(path, trajectory)
+    expected = read_tum(path)
+    lines = path.read_text().splitlines()[1:]
+    text = "\n".join(lines)
+    heading = "timestamp,tx,ty,tz,qx,qy,qz,qw\n"
+    data = {
+        "comma": text.replace(".", ",").encode(),
+        "semicolon": text.replace(".", ",").replace(" ", ";").encode(),
+        "csv": (heading + text.replace(" ", ",")).encode(),
+        "trailing": text.replace(" ", ", ").replace("\n", ",\n").encode(),
+        "bom": b"\xef\xbb\xbf" + text.encode(),
+        "utf16": text.encode("utf-16"),
+        "exponents": "\n".join("\t".join(f"{float(n):.12e}" for n in line.split()) for line in lines).encode(),
+        "windows": text.replace("\n", "\r\n").encode(),
+    }[dialect]
+    path.write_bytes(data)
+    torch.testing.assert_close(read_tum(path).timestamps, expected.timestamps)
+    torch.testing.assert_close(read_tum(path).T_world_cam, expected.T_world_cam)
+
+
 @pytest.mark.parametrize(
     ("line", "complaint"),
     [

@@ -21,14 +21,21 @@ class EvaluateCommand:
 
 def evaluate(command: EvaluateCommand) -> int:
     """Compare two trajectories."""
+    from ..errors import IdRgbdoError
     from ..evaluation import evaluate as evaluate_trajectory
-    from ..report.terminal import evaluation_rows, show_table
+    from ..evaluation import hints
+    from ..report.terminal import evaluation_rows, hint_rows, show_table
     from ..trajectory import read_tum
     from .input import file_in, reference_of
 
     estimate = read_tum(file_in(command.estimate, "trajectory.txt"))
     reference = reference_of(command.groundtruth)
-    evaluation = evaluate_trajectory(estimate, reference, max_difference_s=command.association_limit)
+    noticed = hints(estimate, reference, command.association_limit)
+    try:
+        evaluation = evaluate_trajectory(estimate, reference, max_difference_s=command.association_limit)
+    except IdRgbdoError as error:
+        raise IdRgbdoError("; ".join((str(error), *noticed))) from error
     counts = f"{evaluation.matched_poses} of {len(estimate)} estimated, of {len(reference)} reference poses"
-    show_table(str(command.estimate), [*evaluation_rows(evaluation)[:-1], ("matched poses", counts)])
+    rows = [*evaluation_rows(evaluation, both=True)[:-1], ("matched poses", counts), *hint_rows(noticed)]
+    show_table(str(command.estimate), rows)
     return 0

@@ -15,13 +15,21 @@ from .. import __version__, configfile, datasets, odometry
 from ..config import Config
 from ..definitions.se3 import inverse, transform
 from ..errors import IdRgbdoError
-from ..evaluation import Evaluation
+from ..evaluation import Evaluation, hints
 from ..evaluation import evaluate as evaluate_trajectory
 from ..frame import BrokenFrame, RgbdFrame
 from ..odometry import Odometry, Record, Run, Status
 from ..report import Snapshot, run_page, watch
 from ..report.pictures import Picture, draw_frames, draw_trajectory, save
-from ..report.terminal import Rows, evaluation_rows, progress_bar, run_rows, show_table, status_counter
+from ..report.terminal import (
+    Rows,
+    evaluation_rows,
+    hint_rows,
+    progress_bar,
+    run_rows,
+    show_table,
+    status_counter,
+)
 from ..runs import checkpoint
 from ..runs.checkpoint import Checkpoints, Identity, State
 from ..runs.folder import RunFolder, believable, default_folder, is_refined, measurements
@@ -125,17 +133,18 @@ def _evaluated(done: Run, method: Odometry, groundtruth: Trajectory | None) -> t
     """The evaluation of a run's causal poses, and the rows to show; why not, where it cannot be evaluated."""
     if groundtruth is None or not done.records:
         return None, []
+    noticed = hint_rows(hints(done.trajectory(), groundtruth))
     try:
         evaluation = evaluate_trajectory(done.trajectory(), groundtruth, measurements(done))
         rows = evaluation_rows(evaluation)
         refined = method.trajectory()
         if is_refined(refined, done):
             after = evaluate_trajectory(refined, groundtruth)
-            rpe = f", RPE {after.rpe.rmse_m_per_s:.4f} m/s" if after.rpe else ""
+            rpe = f", RPE {after.rpe.rmse_m_per_s:.4f} m/s, {after.rpe.rmse_deg_per_s:.3f} deg/s" if after.rpe else ""
             rows.append(("refined", f"ATE {after.ate.rmse_m:.4f} m{rpe}"))
-        return evaluation, rows
+        return evaluation, [*rows, *noticed]
     except IdRgbdoError as error:
-        return None, [("not evaluated", str(error))]
+        return None, [("not evaluated", str(error)), *noticed]
 
 
 def _spread_out(frames: int, count: int = 6) -> set[int]:

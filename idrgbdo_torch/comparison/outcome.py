@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import platform
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import PackageNotFoundError, version
@@ -38,6 +37,9 @@ class Outcome:
     keyframes: int = 0
     ate_rmse_m: float | None = None
     rpe_rmse_m_per_s: float | None = None
+    rpe_rmse_deg_per_s: float | None = None
+    rpe_pairs: int = 0  # of poses a second apart that the RPE is made of
+    matched_poses: int = 0  # with a reference pose: what the ATE is made of
     k2fe_mean_m: float | None = None  # where the method has keyframes
     track_ms_median: float | None = None
     track_ms_p95: float | None = None
@@ -99,15 +101,3 @@ def versions_of(libraries: tuple[str, ...]) -> dict[str, str]:
 def configuration_digest(method: Method, frames: str) -> str:
     """A short digest of the method's settings and of what tells the frames apart."""
     return hashlib.sha256(f"{method.settings()}\n{frames}".encode()).hexdigest()[:12]
-
-
-def machine_name() -> str:
-    """Processor, cores, system and Python: what times depend on."""
-    name = platform.processor()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        models = [line for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
-        name = models[0].partition(":")[2].strip() if models else name
-    return (
-        f"{name or platform.machine()}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
-    )

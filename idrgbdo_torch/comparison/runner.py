@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -14,9 +15,10 @@ from ..datasets import RgbdSequence
 from ..errors import IdRgbdoError
 from ..evaluation import ASSOCIATION_LIMIT_S, evaluate
 from ..frame import RgbdFrame
+from ..machine import machine_name
 from ..trajectory import associate, read_tum, write_tum
 from .methods import Methods
-from .outcome import EXTERNAL, Outcome, append_outcome, configuration_digest, machine_name, read_outcomes, versions_of
+from .outcome import EXTERNAL, Outcome, append_outcome, configuration_digest, read_outcomes, versions_of
 from .summary import Comparison
 from .worker import Source, run_apart
 
@@ -151,10 +153,11 @@ def _external_outcome(external: External, sequence: RgbdSequence, out: Path) -> 
     (out / folder).mkdir(parents=True, exist_ok=True)
     estimate = trajectory.at(of_estimate)
     write_tum(out / folder / "trajectory.txt", estimate)
-    ate, rpe = None, None
+    evaluation = None
     if sequence.groundtruth is not None and matched > 2:
-        evaluation = evaluate(estimate, sequence.groundtruth)
-        ate, rpe = evaluation.ate.rmse_m, evaluation.rpe.rmse_m_per_s if evaluation.rpe else None
+        with contextlib.suppress(IdRgbdoError):  # the reference covers too little of the estimate
+            evaluation = evaluate(estimate, sequence.groundtruth)
+    rpe = evaluation.rpe if evaluation else None
     missing = len(sequence) - matched
     return Outcome(
         external.name,
@@ -168,8 +171,11 @@ def _external_outcome(external: External, sequence: RgbdSequence, out: Path) -> 
         tracked=matched,
         lost=missing,
         reasons={"no pose in the file": missing} if missing else {},
-        ate_rmse_m=ate,
-        rpe_rmse_m_per_s=rpe,
+        ate_rmse_m=evaluation.ate.rmse_m if evaluation else None,
+        rpe_rmse_m_per_s=rpe.rmse_m_per_s if rpe else None,
+        rpe_rmse_deg_per_s=rpe.rmse_deg_per_s if rpe else None,
+        rpe_pairs=len(rpe.errors_m) if rpe else 0,
+        matched_poses=evaluation.matched_poses if evaluation else 0,
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         folder=str(folder),
     )

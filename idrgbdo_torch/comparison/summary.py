@@ -80,6 +80,23 @@ class Row:
         return sum(outcome.weak for outcome in self.outcomes)
 
     @property
+    def matched_poses(self) -> int:
+        """Of all runs together: what the ATE is made of."""
+        return sum(outcome.matched_poses for outcome in self.outcomes)
+
+    @property
+    def rpe_pairs(self) -> int:
+        """Of all runs together: what the RPE is made of."""
+        return sum(outcome.rpe_pairs for outcome in self.outcomes)
+
+    @property
+    def made_of(self) -> str:
+        """Poses and pairs behind the errors where the reference covers a part of the frames; empty where all."""
+        if not 0 < self.matched_poses < self.frames:
+            return ""
+        return f"{self.matched_poses} of {self.frames} poses, {self.rpe_pairs} pairs"
+
+    @property
     def reasons(self) -> dict[str, int]:
         """Why frames were lost, the commonest first."""
         total: dict[str, int] = {}

@@ -33,6 +33,10 @@ def _millimetres(name: str) -> Callable[[Row], str]:
     return lambda row: _spread(row.spread(name), 1000.0, seeds=bool(row.sequence))
 
 
+def _degrees(name: str) -> Callable[[Row], str]:
+    return lambda row: _spread(row.spread(name), 1.0, seeds=bool(row.sequence), digits=3)
+
+
 def _number(name: str, digits: int, suffix: str = "") -> Callable[[Row], str]:
     def cell(row: Row) -> str:
         value = getattr(row, name)
@@ -45,7 +49,9 @@ COLUMNS = (
     Column("method", lambda row: row.method),
     Column("ATE mm", _millimetres("ate_rmse_m")),
     Column("RPE mm/s", _millimetres("rpe_rmse_m_per_s")),
+    Column("RPE deg/s", _degrees("rpe_rmse_deg_per_s")),
     Column("K2FE mm", _millimetres("k2fe_mean_m")),
+    Column("made of", lambda row: row.made_of),
     Column(
         "tracked", lambda row: f"{row.frames - row.lost}/{row.frames}" + (f" ({row.weak} weak)" if row.weak else "")
     ),
@@ -53,11 +59,12 @@ COLUMNS = (
     Column("ms 95 %", _number("track_ms_p95", 1)),
     Column("speed", _number("speedup", 1, " x")),
     Column("MB", _number("peak_memory_mb", 0)),
-    Column("lost because", lambda row: row.error or next((f"{n} x {why}" for why, n in row.reasons.items()), "")),
+    Column("lost because", lambda row: row.error or _reasons(row)),
 )
 LEGEND = (
     "ATE: RMSE after rigid alignment without scale. RPE: RMSE of the drift over 1 s. K2FE: mean error of a frame "
-    "against its keyframe, where a method has keyframes. ms: in track() alone, decoding excluded. speed: how many "
+    "against its keyframe, where a method has keyframes. made of: the poses behind ATE and pairs behind RPE, "
+    "where the reference covers only a part. ms: in track() alone, decoding excluded. speed: how many "
     "times as fast as the fastest baseline. MB: peak memory of a process of its own, libraries included. "
     "Where a method is random: mean ± standard deviation (worst) over seeds."
 )
@@ -127,14 +134,18 @@ def _agreement(agreement: Agreement) -> Table:
     return Table(title, ("method", *numbers.values()), rows)
 
 
-def _spread(spread: Spread | None, factor: float, seeds: bool) -> str:
+def _reasons(row: Row) -> str:
+    return ", ".join(f"{count} x {why}" for why, count in list(row.reasons.items())[:2])
+
+
+def _spread(spread: Spread | None, factor: float, seeds: bool, digits: int = 2) -> str:
     """Mean, with deviation and worst where that is over seeds."""
     if spread is None:
         return ""
-    mean = f"{factor * spread.mean:.2f}"
+    mean = f"{factor * spread.mean:.{digits}f}"
     if spread.count == 1 or not seeds:
         return mean
-    return f"{mean} ± {factor * spread.std:.2f} ({factor * spread.worst:.2f})"
+    return f"{mean} ± {factor * spread.std:.{digits}f} ({factor * spread.worst:.{digits}f})"
 
 
 def _markdown(table: Table) -> str:
@@ -145,12 +156,13 @@ def _markdown(table: Table) -> str:
 def _flat(row: Row) -> dict[str, Any]:
     """A row as plain columns."""
     flat: dict[str, Any] = {"method": row.method, "sequence": row.sequence or "all", "description": row.description}
-    for name in ("ate_rmse_m", "rpe_rmse_m_per_s", "k2fe_mean_m"):
+    for name in ("ate_rmse_m", "rpe_rmse_m_per_s", "rpe_rmse_deg_per_s", "k2fe_mean_m"):
         spread = row.spread(name)
         for part in ("mean", "std", "worst"):
             flat[f"{name}_{part}"] = None if spread is None else getattr(spread, part)
     for name in ("frames", "lost", "weak", "track_ms", "track_ms_p95", "speedup", "peak_memory_mb", "error"):
         flat[name] = getattr(row, name)
+    flat["matched_poses"], flat["rpe_pairs"] = row.matched_poses, row.rpe_pairs
     flat["runs"] = len(row.outcomes)
     flat["lost_because"] = "; ".join(f"{count} x {reason}" for reason, count in row.reasons.items())
     return flat

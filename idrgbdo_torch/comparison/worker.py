@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import sys
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -15,7 +14,7 @@ from typing import Any
 from ..datasets import RgbdSequence, open_sequence
 from ..errors import IdRgbdoError
 from ..evaluation import evaluate
-from ..odometry import Record, Status, run
+from ..odometry import Record, run
 from ..runs.folder import RunFolder, measurements, summarise
 from .methods import Method
 
@@ -96,17 +95,19 @@ def _work(connection: Connection, method: Method, seed: int, source: Source, fol
         run_folder.finish(done, odometry, evaluation)
     summary = summarise(done, evaluation)
     errors, timing = summary.get("evaluation", {}), summary["timing_ms"]
-    lost = [record.result.reason for record in done.records if record.result.status is Status.LOST]
     connection.send(
         {
             "frames": summary["frames"],
             "tracked": summary["tracked"],
-            "weak": done.statuses.count(Status.WEAK),
+            "weak": summary["weak"],
             "lost": summary["lost"],
-            "reasons": dict(Counter(lost).most_common()),
+            "reasons": summary["lost_because"],
             "keyframes": summary["keyframes"],
             "ate_rmse_m": errors.get("ate_rmse_m"),
             "rpe_rmse_m_per_s": errors.get("rpe_rmse_m_per_s"),
+            "rpe_rmse_deg_per_s": errors.get("rpe_rmse_deg_per_s"),
+            "rpe_pairs": errors.get("rpe_pairs", 0),
+            "matched_poses": summary.get("matched_poses", 0),
             "k2fe_mean_m": errors.get("k2fe_mean_m"),
             "track_ms_median": timing["track_median"],
             "track_ms_p95": timing["track_p95"],

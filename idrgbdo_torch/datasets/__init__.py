@@ -36,6 +36,9 @@ class RgbdSequence(Protocol):
 
     def __iter__(self) -> Iterator[RgbdFrame | BrokenFrame]: ...
 
+    def __getitem__(self, index: int) -> RgbdFrame | BrokenFrame:
+        """One frame by its number, negative ones from the end. Raises IndexError after the last."""
+
     def read(self, index: int) -> RgbdFrame | BrokenFrame:
         """One frame, decoded now."""
 
@@ -68,4 +71,10 @@ def open_sequence(
     )
     if format is None and is_realsense(Path(path)):
         return RealSenseRecording(Path(path), options)
-    return RecordedSequence(read_recording(Path(path), options, format), options)
+    return _recorded(Path(path), options, format)
+
+
+def _recorded(path: Path, options: Options, format: str | None) -> RecordedSequence:
+    sequence = RecordedSequence(read_recording(path, options, format), options)
+    sequence.reopen = (_recorded, path.resolve(), options, format)
+    return sequence

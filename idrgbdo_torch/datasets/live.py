@@ -148,6 +148,10 @@ class LiveSequence:
         finally:
             self._sensor.stop()
 
+    def __getitem__(self, index: int) -> RgbdFrame | BrokenFrame:
+        """Frame number `index`, from the end where it is negative."""
+        return self.read(range(len(self))[index])
+
     def read(self, index: int) -> RgbdFrame | BrokenFrame:
         """Not possible: a camera cannot be asked for a frame by its number. Raises IdRgbdoError."""
         raise IdRgbdoError(

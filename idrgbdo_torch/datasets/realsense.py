@@ -81,6 +81,10 @@ class RealSenseRecording:
         while (frame := self._advance()) is not None:
             yield frame
 
+    def __getitem__(self, index: int) -> RgbdFrame | BrokenFrame:
+        """Frame number `index`, from the end where it is negative."""
+        return self.read(range(len(self))[index])
+
     def read(self, index: int) -> RgbdFrame | BrokenFrame:
         """Frame number `index`, which must be the next one; a BrokenFrame after the end.
 

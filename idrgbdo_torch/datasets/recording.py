@@ -81,6 +81,7 @@ class RecordedSequence:
         Raises IdRgbdoError where no frame is left or the first ones cannot be read.
         """
         self._recording = recording
+        self.reopen: tuple[Any, ...] | None = None  # a function that opens it again, and its arguments
         self._chosen = options.choose(len(recording.timestamps))
         self.name = recording.name
         self.timestamps = [recording.timestamps[index] for index in self._chosen]  # s, of the colour images
@@ -116,6 +117,17 @@ class RecordedSequence:
         """The frames from number `first` on, decoded ahead where the format allows it."""
         numbers = range(first, len(self))
         return prefetch(self.read, numbers) if self._recording.any_thread else map(self.read, numbers)
+
+    def __getitem__(self, index: int) -> RgbdFrame | BrokenFrame:
+        """Frame number `index`, from the end where it is negative, so that a torch DataLoader takes a sequence."""
+        return self.read(range(len(self))[index])
+
+    def __reduce__(self) -> tuple[Callable[..., RecordedSequence], tuple[object, ...]]:
+        """Pickled as what it was opened from, and opened anew: readers of bags share no file between processes."""
+        if self.reopen is None:
+            raise IdRgbdoError(f"sequence: '{self.name}' cannot be pickled; open it with open_sequence")
+        function, *arguments = self.reopen
+        return function, tuple(arguments)
 
     def read(self, index: int) -> RgbdFrame | BrokenFrame:
         """Frame number `index`; a BrokenFrame with the reason where a file is missing, damaged or of another size."""

@@ -24,6 +24,7 @@ from ..measurement import (
     View,
 )
 from .camera import Pinhole
+from .checks import believable, checked_targets
 from .convert import SMALLEST, Array, chosen, inverse_of_depth, matrix, noise_of_arrays, pinhole
 from .linearise import NormalEquations, ResidualNoise, Target, linearise_pairs, residual_noise, robust_scale
 from .points import HostPoints, tracking_pyramid
@@ -32,6 +33,7 @@ from .solver import solve
 
 STEPS = (8, 10, 12, 12)  # most iterations per level, finest first
 NOTHING = torch.zeros(0)
+FEWEST = 6  # points, for six degrees of freedom
 AFFINE_SIGMA = (0.1, 10.0)  # of gain and gray levels, about the guess
 
 
@@ -77,7 +79,7 @@ class AlignedPairs:
     rms: Tensor  # (B, N) whitened residual of each point, -1 where it is not seen
     kept: Tensor  # (B, N) bool, points that took part
     iterations: Tensor  # (B,)
-    ok: Tensor  # (B,) bool: everything finite, and enough points for six degrees of freedom
+    ok: Tensor  # (B,) bool: everything finite, most points seen, their residuals what the noise lets expect
 
 
 def prior_at(T_target_host: Tensor, information: Tensor | None = None, affine: Tensor | None = None) -> Prior:
@@ -105,13 +107,16 @@ def align_pairs(
     steps: most iterations per level, finest first. gradient_steps: Gauss-Newton steps at the end that autograd sees: 0
     for none; 1 gives the gradient of the implicit function at the minimum; more unroll. The search before them is not
     recorded.
+    Raises IdRgbdoError for images of another size than the camera's, gray levels in 0..1, depth in millimetres.
     """
     B = len(points.uv)
+    gray, depth = torch.as_tensor(gray), None if depth is None else torch.as_tensor(depth)
     if gray.ndim != 3 or len(gray) != B or len(points.patch) < len(steps):
         raise IdRgbdoError(
             f"align_pairs: expected gray ({B}, H, W) and points with {len(steps)} levels, got {tuple(gray.shape)} and "
             f"{len(points.patch)}; pass as many images as pairs, and levels to host_points"
         )
+    gray, depth = checked_targets(points, gray, depth, camera)
     noise = noise or residual_noise()
     guess = torch.eye(4, dtype=torch.float64).expand(B, 4, 4) if T_guess is None else T_guess
     prior = guess if isinstance(guess, Prior) else prior_at(guess)
@@ -130,7 +135,7 @@ def align_pairs(
         system = linearise_pairs(points, problems[0].target, T, a, noise, found.scale, noise.outlier)
     certain = pose_information(system.H, found.prior.affine_information)
     finite = T.isfinite().all(-1).all(-1) & certain.isfinite().all(-1).all(-1)
-    ok = finite & (system.kept.sum(-1) >= 6)
+    ok = finite & (system.kept.sum(-1) >= FEWEST) & believable(points, gray, system.rms, a)
     return AlignedPairs(T, a, certain, system.rms, system.kept, found.iterations, ok)
 
 

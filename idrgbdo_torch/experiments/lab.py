@@ -13,10 +13,10 @@ from statistics import fmean, stdev
 from typing import TYPE_CHECKING
 
 from .. import __version__
-from ..comparison.outcome import machine_name
 from ..config import Config
 from ..datasets import open_sequence
 from ..errors import IdRgbdoError
+from ..machine import machine_name
 from .sweep import Progress, Workers, sweep
 from .task import Clip, Measured, Task, content_digest, measure, measured
 

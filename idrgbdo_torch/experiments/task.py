@@ -18,12 +18,13 @@ import numpy as np
 import torch
 
 from .. import configfile
-from ..comparison.outcome import machine_name, versions_of
+from ..comparison.outcome import versions_of
 from ..config import Config
 from ..datasets import RgbdSequence, open_sequence
 from ..errors import IdRgbdoError
 from ..evaluation import Evaluation, evaluate
 from ..frame import BrokenFrame, RgbdFrame
+from ..machine import machine_name
 from ..odometry import Odometry, Run, Status, run
 from ..runs.folder import is_refined, measurements, summarise
 from ..tracker.tracking import motion_information

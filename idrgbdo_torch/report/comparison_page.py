@@ -6,7 +6,7 @@ import colorsys
 
 from ..comparison import Comparison
 from ..comparison.table import LEGEND, Table, provenance, tables
-from . import figures
+from . import figures, series
 from .figures import Line
 from .page import Section, figure, page, pair, preformatted, table, tiles
 
@@ -61,14 +61,16 @@ def _sequence(comparison: Comparison, sequence: str, colors: dict[str, str]) -> 
             spread = errors.get(name)
             shown = name != "constant-velocity" and (spread is None or spread.mean <= limit)
             lines.append(Line(name, trajectory, colors[name], shown=shown))
-    lines = figures.aligned(lines, reference) if lines else lines
+    on_reference = figures.aligned(lines, reference)
+    reference = reference if on_reference else None  # it does not overlap: the methods are still to be seen
+    lines = on_reference or lines
     if not lines:
         return ""
     html = pair(
         figure(figures.trajectories_3d(lines, reference)), figure(figures.trajectories_from_above(lines, reference))
     )
     if reference is not None:
-        html += figure(figures.errors_over_time(lines, reference))
+        html += figure(series.errors_over_time(lines, reference, float(reference.timestamps[0])))
     agreement = comparison.agreement(sequence)
     return html + figure(figures.agreement_map(agreement.methods, agreement.rpe_m_per_s))
 

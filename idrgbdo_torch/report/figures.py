@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import plotly.graph_objects as go
 import torch
-from plotly.subplots import make_subplots
 from torch import Tensor
 
 from ..definitions.se3 import transform
-from ..evaluation import ASSOCIATION_LIMIT_S, absolute_error, relative_error
+from ..evaluation import ASSOCIATION_LIMIT_S, absolute_error
 from ..trajectory import Trajectory, associate
 
 REFERENCE = "#1d2733"
 INK, GRID = "#1d2733", "#e6eaee"
-DECADES = [m * 10.0**e for e in range(-3, 5) for m in (1, 2, 3, 5, 7)]
+MOST_TICKS = 9  # that a logarithmic axis has room for
 MOST_POINTS = 600  # of a line
-FREEDOMS = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
-FREEDOM_COLORS = ("#c2410c", "#ea8a3c", "#f2c069", "#1d4e89", "#3f88c5", "#8ecae6")
 
 
 @dataclass(frozen=True)
@@ -55,10 +53,10 @@ def trajectories_3d(lines: Sequence[Line], reference: Trajectory | None) -> go.F
     R = _upright(drawn[0].trajectory)
     figure = go.Figure()
     for line in drawn:
-        x, y, z = _thinned(transform(_rigid(R), line.trajectory.positions)).T.tolist()
+        x, y, z = thinned(transform(_rigid(R), line.trajectory.positions)).T.tolist()
         style = {"color": line.color, "width": 2 * line.width}
         figure.add_scatter3d(
-            x=x, y=y, z=z, mode="lines", name=line.name, line=style, visible=_visible(line),
+            x=x, y=y, z=z, mode="lines", name=line.name, line=style, visible=visible(line),
             hovertemplate="%{x:.3f} %{y:.3f} %{z:.3f} m",
         )  # fmt: skip
     low, high = _box(drawn[0].trajectory, R)
@@ -69,7 +67,7 @@ def trajectories_3d(lines: Sequence[Line], reference: Trajectory | None) -> go.F
     }
     eye = {"x": 1.2, "y": -1.9, "z": 1.2}
     figure.update_layout(scene={"aspectmode": "data", "camera": {"eye": eye}, **axes}, showlegend=False)
-    return _styled(figure, "in space", 520).update_layout(margin={"l": 0, "r": 0, "b": 0})
+    return styled(figure, "in space", 520).update_layout(margin={"l": 0, "r": 0, "b": 0})
 
 
 def trajectories_from_above(lines: Sequence[Line], reference: Trajectory | None) -> go.Figure:
@@ -78,71 +76,15 @@ def trajectories_from_above(lines: Sequence[Line], reference: Trajectory | None)
     R = _upright(drawn[0].trajectory)
     figure = go.Figure()
     for line in drawn:
-        x, y, _ = _thinned(transform(_rigid(R), line.trajectory.positions)).T.tolist()
+        x, y, _ = thinned(transform(_rigid(R), line.trajectory.positions)).T.tolist()
         figure.add_scatter(
             x=x, y=y, mode="lines", name=line.name, line={"color": line.color, "width": line.width},
-            visible=_visible(line), hovertemplate="%{x:.3f} %{y:.3f} m",
+            visible=visible(line), hovertemplate="%{x:.3f} %{y:.3f} m",
         )  # fmt: skip
     low, high = _box(drawn[0].trajectory, R)
     figure.update_xaxes(title="m", range=[low[0], high[0]])
     figure.update_yaxes(title="m", range=[low[1], high[1]], scaleanchor="x")
-    return _styled(figure, "from above", 520)
-
-
-def errors_over_time(lines: Sequence[Line], reference: Trajectory) -> go.Figure:
-    """Position error after alignment, and drift over one second, of each frame."""
-    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.08)
-    for line in lines:
-        ate = absolute_error(line.trajectory, reference)
-        rpe = relative_error(line.trajectory, reference)
-        series = [(1, ate.timestamps, ate.errors_m)]
-        series += [] if rpe is None else [(2, rpe.timestamps, rpe.errors_m)]
-        for row, times, errors in series:
-            both = _thinned(torch.stack([times - reference.timestamps[0], 1000 * errors], dim=1))
-            x, y = both.T.tolist()
-            figure.add_scatter(
-                x=x, y=y, mode="lines", name=line.name, legendgroup=line.name, showlegend=row == 1, row=row, col=1,
-                line={"color": line.color, "width": line.width}, visible=_visible(line),
-                hovertemplate="%{y:.2f} at %{x:.2f} s",
-            )  # fmt: skip
-    figure.update_yaxes(title="position, mm", rangemode="tozero", row=1, col=1)
-    figure.update_yaxes(title="drift over 1 s, mm", rangemode="tozero", row=2, col=1)
-    figure.update_xaxes(title="s", row=2, col=1)
-    return _styled(figure, "error over time", 520)
-
-
-def entropy_over_time(times: Sequence[float], bits: Sequence[Sequence[float]], keyframes: Sequence[float]) -> go.Figure:
-    """Entropy of each degree of freedom (bits, T x 6), keyframes as vertical lines."""
-    figure = go.Figure()
-    for name, color, values in zip(FREEDOMS, FREEDOM_COLORS, zip(*bits, strict=True), strict=True):
-        figure.add_scatter(
-            x=list(times), y=list(values), mode="lines", name=name, line={"color": color, "width": 1.6},
-            hovertemplate="%{y:.2f} bits at %{x:.2f} s",
-        )  # fmt: skip
-    line = {"type": "line", "yref": "paper", "y0": 0, "y1": 1, "line": {"color": "#9aa5b1", "width": 1, "dash": "dot"}}
-    # all at once: add_vline() copies those that are there
-    figure.update_layout(shapes=[{**line, "x0": time, "x1": time} for time in keyframes])
-    figure.update_xaxes(title="s")
-    figure.update_yaxes(title="bits")
-    return _styled(figure, "entropy per degree of freedom; dotted: keyframes", 400)
-
-
-def milliseconds_over_time(times: Sequence[float], stages: Mapping[str, Sequence[float | None]]) -> go.Figure:
-    """Time of each frame, a stage a colour, on a logarithmic scale."""
-    figure = go.Figure()
-    colors = ("#9aa5b1", "#3f88c5", "#c2410c", "#2a9d8f")
-    for (name, values), color in zip(stages.items(), colors, strict=False):
-        known = [(time, value) for time, value in zip(times, values, strict=True) if value is not None]
-        if known:
-            x, y = zip(*known, strict=True)
-            median = sorted(y)[len(y) // 2]
-            figure.add_scatter(
-                x=x, y=y, mode="markers", name=f"{name}, median {median:.1f} ms", marker={"color": color, "size": 5},
-                hovertemplate="%{y:.2f} ms at %{x:.2f} s",
-            )  # fmt: skip
-    figure.update_xaxes(title="s")
-    figure.update_yaxes(title="ms", type="log", tickvals=DECADES)
-    return _styled(figure, "milliseconds a frame", 360)
+    return styled(figure, "from above", 520)
 
 
 def accuracy_against_time(points: Sequence[tuple[str, float, float, str]]) -> go.Figure:
@@ -155,9 +97,9 @@ def accuracy_against_time(points: Sequence[tuple[str, float, float, str]]) -> go
             marker={"color": color, "size": 12, "line": {"color": "white", "width": 1}}, showlegend=False,
             textfont={"size": 11}, hovertemplate=f"{name}: %{{y:.2f}} mm/s in %{{x:.1f}} ms<extra></extra>",
         )  # fmt: skip
-    figure.update_xaxes(title="ms a frame, median", type="log", tickvals=DECADES)
-    figure.update_yaxes(title="RPE, mm/s", type="log", tickvals=DECADES)
-    return _styled(figure, "accuracy against time: below and to the left is better", 480)
+    figure.update_xaxes(title="ms a frame, median", type="log", tickvals=decades([ms for _, ms, _, _ in points]))
+    figure.update_yaxes(title="RPE, mm/s", type="log", tickvals=decades([drift for _, _, drift, _ in points]))
+    return styled(figure, "accuracy against time: below and to the left is better", 480)
 
 
 def agreement_map(names: Sequence[str], values: Sequence[Sequence[float | None]]) -> go.Figure:
@@ -182,10 +124,22 @@ def agreement_map(names: Sequence[str], values: Sequence[Sequence[float | None]]
     )
     figure.update_yaxes(autorange="reversed")
     figure.update_xaxes(tickangle=40)
-    return _styled(figure, "RPE between methods, mm/s", 160 + 26 * len(names))
+    return styled(figure, "RPE between methods, mm/s", 160 + 26 * len(names))
 
 
-def _styled(figure: go.Figure, title: str, height: int) -> go.Figure:
+def decades(values: Sequence[float]) -> list[float]:
+    """Ticks of a logarithmic axis over the values: as many to a decade as do not run into each other."""
+    known = [value for value in values if value > 0] or [1.0]
+    low, high = math.floor(math.log10(min(known))), math.ceil(math.log10(max(known)) + 1e-9)
+    for steps in ((1, 2, 3, 5, 7), (1, 2, 5), (1, 3), (1,)):
+        ticks = [m * 10.0**e for e in range(low, high + 1) for m in steps]
+        if sum(min(known) / 2 <= tick <= 2 * max(known) for tick in ticks) <= MOST_TICKS:
+            break
+    return ticks
+
+
+def styled(figure: go.Figure, title: str, height: int) -> go.Figure:
+    """The figure in the look of all of them."""
     axis: dict[str, Any] = {"gridcolor": GRID, "zeroline": False, "linecolor": "#c3cad2", "ticks": "outside"}
     axis["tickcolor"] = "#c3cad2"
     figure.update_layout(
@@ -213,11 +167,12 @@ def _with_reference(lines: Sequence[Line], reference: Trajectory | None) -> list
     return [Line("reference", reference.at(within), REFERENCE, 3.0), *lines]
 
 
-def _visible(line: Line) -> Any:
+def visible(line: Line) -> Any:
+    """What plotly calls its visibility."""
     return True if line.shown else "legendonly"
 
 
-def _thinned(rows: Tensor) -> Tensor:
+def thinned(rows: Tensor) -> Tensor:
     """At most MOST_POINTS of (N, ...) rows, the last among them, to a tenth of a millimetre."""
     if len(rows) > MOST_POINTS:
         rows = rows[torch.linspace(0, len(rows) - 1, MOST_POINTS).long()]

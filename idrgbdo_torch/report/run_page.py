@@ -8,8 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ..errors import IdRgbdoError
+from ..evaluation import absolute_error, hints
 from ..trajectory import Trajectory, read_tum
-from . import figures
+from . import figures, series
 from .figures import Line
 from .page import Section, figure, page, pair, preformatted, tiles
 from .snapshots import Snapshot, snapshot_html
@@ -25,26 +27,32 @@ def run_page(
     refined = folder / "trajectory_refined.txt"
     if refined.exists():
         lines.append(Line("refined", read_tum(refined), "#3f88c5"))
-    lines = figures.aligned(lines, groundtruth) or lines
     times = [float(row["timestamp"]) for row in rows]
-    begin = times[0] if times else 0.0
+    begin, span = (times[0], times[-1] - times[0]) if times else (0.0, 0.0)
     seconds = [time - begin for time in times]
+    apart = "" if groundtruth is None else _why_apart(lines[0].trajectory, groundtruth)
+    reference = None if apart else groundtruth
+    lines = figures.aligned(lines, reference) or lines
     keyframes = [s for s, row in zip(seconds, rows, strict=True) if row["keyframe"] == "1"]
+    laid = "" if reference is None else "After rigid alignment without scale."
     sections = [
         Section(
             "Trajectory",
             pair(
-                figure(figures.trajectories_3d(lines, groundtruth)),
-                figure(figures.trajectories_from_above(lines, groundtruth)),
+                figure(figures.trajectories_3d(lines, reference)),
+                figure(figures.trajectories_from_above(lines, reference)),
             ),
-            "After rigid alignment without scale." if groundtruth is not None else "",
+            f"The ground truth is not shown. {apart}" if apart else laid,
         )
     ]
-    if groundtruth is not None and "evaluation" in summary:
-        sections.append(Section("Error", figure(figures.errors_over_time(lines, groundtruth))))
+    if reference is not None:
+        drawn = series.errors_over_time(lines, reference, begin, span)
+        sections.append(Section("Error", figure(drawn), _sentences(*hints(lines[0].trajectory, reference))))
+    statuses, reasons = [row["status"] for row in rows], [row["reason"] for row in rows]
+    sections.append(Section("Status", figure(series.statuses_over_time(seconds, statuses, reasons, span))))
     known = [(s, _entropies(row)) for s, row in zip(seconds, rows, strict=True) if _entropies(row)]
     if known:
-        drawn = figures.entropy_over_time([s for s, _ in known], [bits for _, bits in known], keyframes)
+        drawn = series.entropy_over_time([s for s, _ in known], [bits for _, bits in known], keyframes, span)
         note = "Of the pose against its keyframe, in bits: one more is a standard deviation twice as large."
         sections.append(Section("Certainty", figure(drawn), note))
     stages = {
@@ -52,7 +60,7 @@ def run_page(
         "tracking": [_number(row["ms"]) if row["keyframe"] == "0" else None for row in rows],
         "tracking and a new keyframe": [_number(row["ms"]) if row["keyframe"] == "1" else None for row in rows],
     }
-    sections.append(Section("Time", figure(figures.milliseconds_over_time(seconds, stages))))
+    sections.append(Section("Time", figure(series.milliseconds_over_time(seconds, stages, span))))
     if snapshots:
         html = f'<div class="card frames">{"".join(snapshot_html(s, begin) for s in snapshots)}</div>'
         note = "The points tracked in some of the frames; the larger a ring, the more bits the point adds to the pose."
@@ -70,15 +78,30 @@ def run_page(
     return page(title, subtitle, tiles(_key_figures(summary)), sections, f"Made from {folder.name}.")
 
 
+def _why_apart(estimate: Trajectory, groundtruth: Trajectory) -> str:
+    """Why the estimate cannot be laid onto the ground truth; empty where it can."""
+    try:
+        absolute_error(estimate, groundtruth)
+    except IdRgbdoError as error:
+        return _sentences(str(error), *hints(estimate, groundtruth))
+    return ""
+
+
+def _sentences(*texts: str) -> str:
+    return " ".join(f"{text[:1].upper()}{text[1:]}." for text in texts)
+
+
 def _key_figures(summary: dict[str, Any]) -> list[tuple[str, str]]:
     errors, timing = summary.get("evaluation", {}), summary["timing_ms"]
+    weak = f", {summary['weak']} of them weak" if summary["weak"] else ""
     values = [
-        ("frames tracked", f"{summary['tracked']}/{summary['frames']}"),
+        (f"frames tracked{weak}", f"{summary['tracked']}/{summary['frames']}"),
         ("keyframes", str(summary["keyframes"])),
     ]
     for name, key, unit, factor in (
         ("ATE, RMSE", "ate_rmse_m", "mm", 1000.0),
         ("RPE over 1 s, RMSE", "rpe_rmse_m_per_s", "mm/s", 1000.0),
+        ("RPE of the rotation, RMSE", "rpe_rmse_deg_per_s", "deg/s", 1.0),
         ("K2FE, mean", "k2fe_mean_m", "mm", 1000.0),
     ):
         if errors.get(key) is not None:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from ..evaluation import Evaluation
-from ..odometry import Record, Run, Status
+from ..odometry import Record, Run, Status, lost_because
 
 Rows = list[tuple[str, str]]
+MOST_REASONS = 3  # kinds of reasons for a loss that are shown
 COLORS = {Status.OK: "green", Status.WEAK: "yellow", Status.LOST: "red"}
 
 
@@ -69,11 +70,13 @@ def run_rows(run: Run, summary: dict[str, Any]) -> Rows:
     """The table of a run without its evaluation."""
     timing, fps = summary["timing_ms"], summary["frames_per_second"]
     weak = run.statuses.count(Status.WEAK)
-    reasons = Counter(record.result.reason for record in run.records if record.result.status is Status.LOST)
+    reasons = list(lost_because(run.records).items())
+    shown = [f"{count} x {why}" for why, count in reasons[:MOST_REASONS]]
+    shown += [f"{sum(count for _, count in reasons[MOST_REASONS:])} x other"] if reasons[MOST_REASONS:] else []
     rows = [
         ("frames", str(summary["frames"])),
         ("tracked", f"{summary['tracked']}" + (f" ({weak} of them weak)" if weak else "")),
-        ("lost", f"{summary['lost']}" + "".join(f" ({count} x {why})" for why, count in reasons.most_common(1))),
+        ("lost", f"{summary['lost']}" + (f" ({'; '.join(shown)})" if shown else "")),
         ("keyframes", str(summary["keyframes"])),
         ("path length", f"{summary['path_length_m']:.3f} m"),
     ]
@@ -84,16 +87,27 @@ def run_rows(run: Run, summary: dict[str, Any]) -> Rows:
     return rows
 
 
-def evaluation_rows(evaluation: Evaluation) -> Rows:
-    """The errors with their units, and what they were measured on."""
+def evaluation_rows(evaluation: Evaluation, both: bool = False) -> Rows:
+    """The errors with their units, and what they were measured on. both: the RPE as evo has it too."""
     rpe, k2fe = evaluation.rpe, evaluation.k2fe
     rows = [("ATE", f"{evaluation.ate.rmse_m:.4f} m RMSE after SE(3) alignment without scale")]
-    if rpe is not None:
-        rows.append(("RPE", f"{rpe.rmse_m_per_s:.4f} m/s RMSE over {len(rpe.errors_m)} pairs {rpe.delta_s:g} s apart"))
+    if rpe is None:
+        rows.append(("RPE", f"none: {evaluation.no_rpe}"))
     else:
-        rows.append(("RPE", "none: no two poses 1 s apart"))
+        on = f"RMSE over {len(rpe.errors_m)} pairs {rpe.delta_s:g} s apart"
+        degrees = f"{rpe.rmse_deg_per_s:.3f} deg/s"
+        if both:
+            rows.append(("RPE, TUM tool", f"{rpe.rmse_m_per_s:.4f} m/s, {degrees} {on} (end to begin)"))
+            rows.append(("RPE, evo", f"{rpe.rmse_evo_m_per_s:.4f} m/s, {degrees} over the same (begin to end)"))
+        else:
+            rows.append(("RPE", f"{rpe.rmse_m_per_s:.4f} m/s, {degrees} {on}"))
     if k2fe is not None:
         rows.append(
             ("K2FE", f"{1000 * k2fe.mean_m:.3f} mm mean, {k2fe.sum_m:.4f} m sum over {len(k2fe.errors_m)} frames")
         )
-    return [*rows, ("matched poses", str(evaluation.matched_poses))]
+    return [*rows, ("matched poses", f"{evaluation.matched_poses} of {evaluation.poses}")]
+
+
+def hint_rows(hints: Sequence[str]) -> Rows:
+    """What a reader of the errors should know."""
+    return [("note", hint) for hint in hints]

@@ -6,7 +6,7 @@ import contextlib
 import csv
 import json
 import os
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from statistics import fmean, median
 from typing import IO, Any, Self
@@ -15,9 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .. import __version__
 from ..errors import IdRgbdoError
 from ..evaluation import Evaluation, Measurement
-from ..odometry import Odometry, Record, Run, Status
+from ..machine import machine_name
+from ..odometry import Odometry, Record, Run, Status, lost_because
 from ..tracker.inspection import Inspectable
 from ..tracker.mapping import write_ply
 from ..trajectory import TUM_HEADER, Trajectory, nearest, read_tum, tum_line, write_tum
@@ -141,9 +143,14 @@ def summarise(run: Run, evaluation: Evaluation | None = None) -> dict[str, Any]:
     mean_ms = fmean(track_ms) if track_ms else None
     lost = run.statuses.count(Status.LOST)
     summary: dict[str, Any] = {
+        "version": __version__,
+        "machine": machine_name(),
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "frames": len(run.records),
         "tracked": len(run.records) - lost,
+        "weak": run.statuses.count(Status.WEAK),
         "lost": lost,
+        "lost_because": lost_because(run.records),
         "keyframes": len(keyframe_ms),
         "path_length_m": run.trajectory().path_length_m(),
         "timing_ms": {
@@ -160,6 +167,8 @@ def summarise(run: Run, evaluation: Evaluation | None = None) -> dict[str, Any]:
         summary["evaluation"] = {
             "ate_rmse_m": evaluation.ate.rmse_m,
             "rpe_rmse_m_per_s": rpe.rmse_m_per_s if rpe else None,
+            "rpe_rmse_deg_per_s": rpe.rmse_deg_per_s if rpe else None,
+            "rpe_pairs": len(rpe.errors_m) if rpe else 0,
             "k2fe_mean_m": k2fe.mean_m if k2fe else None,
             "k2fe_sum_m": k2fe.sum_m if k2fe else None,
         }

@@ -55,6 +55,10 @@ class RenderedSequence:
         """Nothing to warn of."""
         return []
 
+    def __getitem__(self, index: int) -> RgbdFrame:
+        """Frame number `index`, from the end where it is negative."""
+        return self.read(range(len(self))[index])
+
     def read(self, index: int) -> RgbdFrame:
         """Frame `index`, rendered now; the same as reading it back from write_tum's folder."""
         import cv2

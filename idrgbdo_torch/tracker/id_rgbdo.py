@@ -11,7 +11,7 @@ from torch import Tensor
 
 from .. import configfile
 from ..config import Config
-from ..frame import Frame, Keyframe, RgbdFrame, prepare
+from ..frame import Frame, Keyframe, RgbdFrame, check_next, prepare
 from ..kernels.se3 import inverse
 from ..measurement import Noise, State, kernel_noise, with_blur
 from ..odometry import Status, TrackResult
@@ -65,7 +65,8 @@ class IdRgbdo:
         self.last: tuple[Keyframe, Tracked] | None = None  # what the last frame was tracked against
 
     def track(self, rgbd: RgbdFrame) -> TrackResult:
-        """The pose of the next frame (sections 4 and 5)."""
+        """The pose of the next frame (sections 4 and 5). Raises IdRgbdoError for what check_next refuses."""
+        check_next(rgbd, self.reference.keyframe.frame.camera if self.reference else None)
         frame = prepare(rgbd, self.config.tracking.blur)
         if self.reference is None:
             return self._start_segment(frame, "too few points with depth and texture to start from")

@@ -243,12 +243,44 @@ def test_evaluate_takes_files_and_folders(
     for arguments in ([out, folder], [out / "trajectory.txt", folder / "groundtruth.txt"]):
         assert main(["evaluate", *map(str, arguments)]) == 0
         shown = capsys.readouterr().out
-        for number in (f"{summary['ate_rmse_m']:.4f} m RMSE", f"{summary['rpe_rmse_m_per_s']:.4f} m/s RMSE"):
+        for number in (f"{summary['ate_rmse_m']:.4f} m RMSE", f"{summary['rpe_rmse_m_per_s']:.4f} m/s, "):
             assert number in shown
             assert number in table
         assert "40 of 40 estimated, of 40 reference poses" in shown
     assert main(["evaluate", str(out), str(tmp_path / "none.txt")]) == 1
     assert "cannot read" in capsys.readouterr().err
+
+
+def test_evaluate_shows_both_rpes_in_metres_and_degrees_and_what_it_noticed(
+    make_recording: Make, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = make_recording(frames=40) / "groundtruth.txt"
+    late = tmp_path / "late.txt"
+    lines = [line.split() for line in truth.read_text().splitlines()[1:]]
+    late.write_text("".join(f"{1000 * (float(t) + 1.6e9):.0f} {' '.join(pose)}\n" for t, *pose in lines))
+    assert main(["evaluate", str(late), str(late)]) == 0
+    shown = capsys.readouterr().out
+    assert "RPE, TUM tool  0.0000 m/s, 0.000 deg/s RMSE over 9 pairs" in shown
+    assert "RPE, evo       0.0000 m/s, 0.000 deg/s" in shown
+    assert "the timestamps of 'late.txt' are milliseconds and are read as such" in shown
+    assert main(["evaluate", str(late), str(truth)]) == 1
+    said = capsys.readouterr().err
+    assert "do not overlap" in said and "with +1600000000.000 s on the timestamps of the reference" in said
+
+
+def test_ground_truth_that_does_not_overlap_costs_the_evaluation_and_not_the_run(
+    make_recording: Make, tmp_path: Path, null_method: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = make_recording(frames=6), tmp_path / "out"
+    truth = folder / "groundtruth.txt"
+    lines = [line.split() for line in truth.read_text().splitlines()[1:]]
+    truth.write_text("".join(f"{float(t) + 500:.6f} {' '.join(pose)}\n" for t, *pose in lines))
+    assert main(["run", str(folder), "--out", str(out)]) == 0
+    assert "not evaluated" in capsys.readouterr().out
+    page = (out / "report.html").read_text()
+    assert "The ground truth is not shown." in page and "do not overlap" in page
+    assert not list(out.glob("*checkpoint*"))  # it is done: nothing is left to resume
+    assert "evaluation" not in json.loads((out / "summary.json").read_text())
 
 
 def start_slow_run(folder: Path, out: Path) -> subprocess.Popen[str]:

@@ -19,7 +19,7 @@ from idrgbdo_torch.definitions.se3 import exp
 from idrgbdo_torch.evaluation import evaluate
 from idrgbdo_torch.frame import RgbdFrame
 from idrgbdo_torch.odometry import Status, TrackResult, run
-from idrgbdo_torch.report import Snapshot, comparison_page, figures, run_page, watch
+from idrgbdo_torch.report import Snapshot, comparison_page, figures, run_page, series, watch
 from idrgbdo_torch.report.figures import Line
 from idrgbdo_torch.runs.folder import RunFolder
 from idrgbdo_torch.trajectory import Trajectory
@@ -67,13 +67,50 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
 
 
 def test_a_run_shows_all_there_is(run_html: str) -> None:
-    for heading in ("Trajectory", "Error", "Certainty", "Time", "Points", "Doubts", "Configuration"):
+    for heading in ("Trajectory", "Error", "Status", "Certainty", "Time", "Points", "Doubts", "Configuration"):
         assert f">{heading}</h2>" in run_html
     assert "a &lt;walk&gt;" in run_html and "<walk>" not in run_html
     assert "dark &amp; &lt;stormy&gt;" in run_html
     assert "points = 24" in run_html and "40/40" not in run_html and "39/40" in run_html
     assert run_html.count("data:image/jpeg;base64,") == 3
     assert run_html.count(" bits</title></circle>") == 6
+
+
+def test_a_reference_that_does_not_overlap_is_left_out_with_the_reason(tmp_path: Path) -> None:
+    sequence = open_sequence(write_recording(tmp_path, "walk", frames=6))
+    odometry = Chatty(torch.tensor([0.3, 0, 0, 0, 0.1, 0], dtype=torch.float64))
+    with RunFolder(tmp_path / "out") as folder:
+        folder.finish(run(odometry, sequence, folder.append), odometry)
+    truth = sequence.groundtruth
+    assert truth is not None
+    html = run_page(tmp_path / "out", "walk", Trajectory(truth.timestamps + 500, truth.T_world_cam))
+    assert "The ground truth is not shown." in html and "do not overlap" in html
+    assert ">Error</h2>" not in html and ">Status</h2>" in html
+
+
+def test_statuses_over_time_show_how_many_and_why() -> None:
+    statuses = ["ok"] * 5 + ["weak", "lost", "lost"] + ["ok"] * 4
+    reasons = [f"because {k}" if status != "ok" else "" for k, status in enumerate(statuses)]
+    drawn = series.statuses_over_time([k / 30 for k in range(12)], statuses, reasons, 11 / 30)
+    named = {trace.name: trace for trace in drawn.data if trace.mode == "lines"}
+    assert set(named) == {"ok, 9 of 12", "weak, 1 of 12", "lost, 2 of 12"}
+    assert list(named["lost, 2 of 12"].x) == [6 / 30, 8 / 30, None]
+    marks = [text for trace in drawn.data if trace.mode == "markers" for text in trace.text]
+    assert sorted(marks) == ["because 5", "because 6", "because 7"]
+
+
+def test_figures_over_time_share_one_axis_and_ticks_have_room() -> None:
+    times = [k / 30 for k in range(12)]
+    stages = {"waiting": [0.02 + k for k in range(12)], "tracking": [900.0] * 12}
+    drawn = [
+        series.milliseconds_over_time(times, stages, times[-1]),
+        series.statuses_over_time(times, ["ok"] * 12, [""] * 12, times[-1]),
+        series.entropy_over_time(times, [[1.0] * 6] * 12, [], times[-1]),
+    ]
+    assert len({(f.layout.xaxis.range, f.layout.margin.l, f.layout.margin.r) for f in drawn}) == 1
+    for low, high in ((0.01, 3000.0), (0.9, 1.1), (5.0, 80.0), (1.0, 1000.0)):
+        shown = [tick for tick in figures.decades([low, high]) if low / 2 <= tick <= 2 * high]
+        assert 1 <= len(shown) <= figures.MOST_TICKS
 
 
 def test_a_comparison_shows_every_method_and_sequence(compared: Comparison) -> None:

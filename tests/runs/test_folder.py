@@ -13,7 +13,7 @@ import pytest
 import torch
 from inspected import Inspected
 
-from idrgbdo_torch import configfile
+from idrgbdo_torch import __version__, configfile
 from idrgbdo_torch.config import Config
 from idrgbdo_torch.definitions.se3 import exp
 from idrgbdo_torch.errors import IdRgbdoError
@@ -104,9 +104,11 @@ def test_a_row_of_frames_csv(tmp_path: Path) -> None:
 def test_summary_has_exactly_the_documented_keys() -> None:
     summary = summarise(RUN)
     assert list(summary) == [
-        *("frames", "tracked", "lost", "keyframes", "path_length_m", "timing_ms", "frames_per_second"),
+        *("version", "machine", "date", "frames", "tracked", "weak", "lost", "lost_because", "keyframes"),
+        *("path_length_m", "timing_ms", "frames_per_second"),
     ]
     assert (summary["frames"], summary["tracked"], summary["lost"], summary["keyframes"]) == (5, 4, 1, 2)
+    assert (summary["version"], summary["weak"], summary["lost_because"]) == (__version__, 1, {"too few points": 1})
     timing = {
         "decode_median": 2,
         "track_median": 6,
@@ -117,8 +119,10 @@ def test_summary_has_exactly_the_documented_keys() -> None:
     assert summary["timing_ms"] == pytest.approx(timing)
     assert summary["frames_per_second"] == pytest.approx(1000 / 9.25)
     evaluated = summarise(RUN, evaluate(RUN.trajectory(), RUN.trajectory(), measurements(RUN)))
-    assert list(evaluated)[7:] == ["evaluation", "matched_poses", "alignment"]
-    assert list(evaluated["evaluation"]) == ["ate_rmse_m", "rpe_rmse_m_per_s", "k2fe_mean_m", "k2fe_sum_m"]
+    assert list(evaluated)[12:] == ["evaluation", "matched_poses", "alignment"]
+    assert list(evaluated["evaluation"]) == [
+        *("ate_rmse_m", "rpe_rmse_m_per_s", "rpe_rmse_deg_per_s", "rpe_pairs", "k2fe_mean_m", "k2fe_sum_m"),
+    ]
     assert evaluated["matched_poses"] == 5
     json.dumps(evaluated, allow_nan=False)
 
