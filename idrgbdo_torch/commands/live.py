@@ -30,6 +30,7 @@ class LiveCommand:
 def live(command: LiveCommand) -> int:
     """Track a camera until it stops, max_frames are reached, or Ctrl-C."""
     from ..datasets.live import open_camera
+    from ..report.terminal import plain
     from ..report.viewer import open_viewer
     from .track import track
 
@@ -40,6 +41,6 @@ def live(command: LiveCommand) -> int:
         depth_scale=command.depth_scale,
         max_frames=command.max_frames,
     )
-    print("reading", sequence.recognised, flush=True)
+    print("reading", plain(sequence.recognised), flush=True)
     with open_viewer(sequence.name, command.viewer, command.save_rrd) as viewer:
         return track(sequence, sequence.name, command.settings, command.out, viewer=viewer)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -31,15 +30,16 @@ class RunCommand:
 
 def run(command: RunCommand) -> int:
     """Track a recording; the exit status is 130 where Ctrl-C ended it."""
+    from ..report.terminal import plain
     from ..report.viewer import open_viewer
-    from ..runs.source import remember
+    from ..runs.source import Reading
     from .track import track
 
     sequence = open_input(command.sequence, command.input)
-    print("reading", sequence.recognised, flush=True)
+    print("reading", plain(sequence.recognised), flush=True)
     with open_viewer(sequence.name, command.viewer, command.save_rrd) as viewer:
-        source = partial(remember, sequence=command.sequence, options=asdict(command.input))
+        reading = Reading(command.sequence, asdict(command.input))
         return track(
             sequence, sequence.name, command.settings, command.out, command.figures, viewer, command.map,
-            command.resume, source,
+            command.resume, reading,
         )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,7 +14,18 @@ from ..evaluation import Evaluation
 from ..odometry import Record, Run, Status
 
 Rows = list[tuple[str, str]]
+HIDDEN = ("Cc", "Cf", "Zl", "Zp")  # Unicode's categories: controls, formats such as right-to-left, line separators
 COLORS = {Status.OK: "green", Status.WEAK: "yellow", Status.LOST: "red"}
+
+
+def plain(value: object) -> str:
+    """Text from outside on one line, as it may go to a terminal: control characters and broken letters are spelt out.
+
+    Names of files, keys of TOML files and answers of servers can hold sequences that move the cursor or do worse.
+    """
+    text = str(value).encode("utf-8", errors="backslashreplace").decode("utf-8")
+    hidden = {letter for letter in text if unicodedata.category(letter) in HIDDEN}
+    return text.translate({ord(letter): letter.encode("unicode_escape").decode() for letter in hidden})
 
 
 @contextmanager
@@ -24,10 +36,10 @@ def progress_bar(title: str, total: int) -> Iterator[Callable[[str], None]]:
         return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
     details = (TextColumn("{task.fields[fps]:.0f} fps {task.fields[note]}"), TimeRemainingColumn())
     with Progress(*columns, *details) as progress:
-        task = progress.add_task(title, total=total, fps=0.0, note="")
+        task = progress.add_task(plain(title), total=total, fps=0.0, note="")
         begin, done = time.monotonic(), 0
 
         def advance(note: str) -> None:
@@ -51,6 +63,7 @@ def status_counter() -> Callable[[Record], str]:
 
 def show_table(title: str, rows: Rows) -> None:
     """Names and values: a table on a terminal, else plain lines."""
+    title, rows = plain(title), [(plain(name), plain(value)) for name, value in rows]
     if not sys.stdout.isatty():
         width = max(len(name) for name, _ in rows)
         print(title, *(f"  {name:<{width}}  {value}" for name, value in rows), sep="\n")
@@ -59,9 +72,9 @@ def show_table(title: str, rows: Rows) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=title, title_justify="left", show_header=False)
+    table = Table(title=Text(title), title_justify="left", show_header=False)
     for name, value in rows:
-        table.add_row(name, Text(value))
+        table.add_row(Text(name), Text(value))
     Console().print(table)
 
 
