@@ -27,7 +27,7 @@ from ..definitions.marginalization import LinearPrior
 from ..errors import IdRgbdoError
 from ..frame import Frame, Keyframe
 from ..measurement import Noise, Points, WindowPoints, WindowSystem
-from ..odometry import Odometry, Record, Status, TrackResult
+from ..odometry import ConstantVelocity, Odometry, Record, Status, TrackResult
 from ..tracker.backends import BACKENDS
 from ..tracker.history import History
 from ..tracker.id_rgbdo import IdRgbdo
@@ -50,7 +50,7 @@ TYPES = (  # what a state may be made of; a new type in the tracker's state has 
     Config, NoiseConfig, SelectionConfig, TrackingConfig, KeyframeConfig, WindowConfig,
     Pinhole, LinearPrior, Frame, Keyframe, Noise, Points, WindowPoints,
     WindowSystem, Motion, Reference, History, Members,
-    Status, TrackResult, Record, IdRgbdo, Cloud, Tracked, Window,
+    Status, TrackResult, Record, ConstantVelocity, IdRgbdo, Cloud, Tracked, Window,
 )  # fmt: skip
 CONSTANTS = {f"backend {name}": backend for name, backend in BACKENDS.items()}
 

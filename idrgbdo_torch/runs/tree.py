@@ -38,7 +38,7 @@ class Codec:
         self._constants = dict(constants or {})
 
     def write(self, tree: object) -> tuple[dict[str, Any], list[bytes | memoryview]]:
-        """What JSON can hold, and the numbers. Raises TypeError for a type that is not in the table."""
+        """What JSON can hold, and the numbers. Raises IdRgbdoError for a type that is not in the table."""
         writer = _Writer(self._types, self._constants)
         return {"root": writer.reference(tree), "nodes": writer.nodes}, writer.numbers
 
@@ -92,12 +92,13 @@ class _Writer:
         if kind is np.random.Generator:
             return ["generator", self.reference(value.bit_generator.state)]
         if self._types.get(kind.__name__) is not kind:
-            raise TypeError(f"'{kind.__module__}.{kind.__qualname__}' is not among the types that may be written")
+            name = f"{kind.__module__}.{kind.__qualname__}"
+            raise IdRgbdoError(f"checkpoint: '{name}' is not among the types that it may hold; name it in the table")
         return ["object", kind.__name__, self._parts(value)]
 
     def _array(self, kind: str, array: np.ndarray[Any, Any]) -> Node:
         if DTYPES.get(array.dtype.name) != array.dtype:
-            raise TypeError(f"an array of {array.dtype} cannot be written")
+            raise IdRgbdoError(f"checkpoint: an array of {array.dtype} cannot be written; convert it")
         columns = array.ndim > 1 and array.flags.f_contiguous and not array.flags.c_contiguous
         flat = np.ascontiguousarray(array.T if columns else array)  # the order in memory decides the last bit of sums
         self.numbers.append(flat.reshape(-1).view(np.uint8).data)
@@ -126,7 +127,7 @@ class _Reader:
             "dict": lambda items: {self.value(key): self.value(item) for key, item in items},
             "array": self._array,
             "scalar": lambda *node: self._array(*node)[()],
-            "tensor": lambda *node: torch.from_numpy(self._array(*node)),
+            "tensor": lambda *node: torch.from_numpy(self._array(*node)).clone(),  # in memory that torch has aligned
             "generator": self._generator,
             "object": self._object,
         }

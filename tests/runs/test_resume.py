@@ -230,7 +230,7 @@ def test_a_flipped_bit_is_never_believed(killed: Path, recording: Path) -> None:
 
 
 def test_what_is_not_in_the_table_is_not_written(tmp_path: Path) -> None:
-    with pytest.raises(TypeError, match="Path"):
+    with pytest.raises(IdRgbdoError, match="Path' is not among the types"):
         Checkpoints(tmp_path, IDENTITY).write(State(IdRgbdo(), [], [tmp_path]))
 
 
