@@ -8,6 +8,7 @@ from typing import Literal
 
 from .. import configfile
 from ..config import Config
+from ..plain import plain
 from .input import Settings
 
 
@@ -30,7 +31,6 @@ class LiveCommand:
 def live(command: LiveCommand) -> int:
     """Track a camera until it stops, max_frames are reached, or Ctrl-C."""
     from ..datasets.live import open_camera
-    from ..report.terminal import plain
     from ..report.viewer import open_viewer
     from .track import track
 

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from ..config import Config
+from ..plain import plain
 from .input import Input, Settings, open_input
 
 
@@ -30,7 +31,6 @@ class RunCommand:
 
 def run(command: RunCommand) -> int:
     """Track a recording; the exit status is 130 where Ctrl-C ended it."""
-    from ..report.terminal import plain
     from ..report.viewer import open_viewer
     from ..runs.source import Reading
     from .track import track

@@ -19,9 +19,10 @@ from ..evaluation import Evaluation
 from ..evaluation import evaluate as evaluate_trajectory
 from ..frame import BrokenFrame, RgbdFrame
 from ..odometry import Odometry, Record, Run, Status
+from ..plain import plain
 from ..report import Snapshot, run_page, watch
 from ..report.pictures import Picture, draw_frames, draw_trajectory, save
-from ..report.terminal import Rows, evaluation_rows, plain, progress_bar, run_rows, show_table, status_counter
+from ..report.terminal import Rows, evaluation_rows, progress_bar, run_rows, show_table, status_counter
 from ..runs import checkpoint
 from ..runs.checkpoint import Checkpoints, Identity, State
 from ..runs.folder import RunFolder, believable, default_folder, is_refined, measurements

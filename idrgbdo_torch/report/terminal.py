@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,20 +11,10 @@ from typing import Any
 
 from ..evaluation import Evaluation
 from ..odometry import Record, Run, Status
+from ..plain import plain
 
 Rows = list[tuple[str, str]]
-HIDDEN = ("Cc", "Cf", "Zl", "Zp")  # Unicode's categories: controls, formats such as right-to-left, line separators
 COLORS = {Status.OK: "green", Status.WEAK: "yellow", Status.LOST: "red"}
-
-
-def plain(value: object) -> str:
-    """Text from outside on one line, as it may go to a terminal: control characters and broken letters are spelt out.
-
-    Names of files, keys of TOML files and answers of servers can hold sequences that move the cursor or do worse.
-    """
-    text = str(value).encode("utf-8", errors="backslashreplace").decode("utf-8")
-    hidden = {letter for letter in text if unicodedata.category(letter) in HIDDEN}
-    return text.translate({ord(letter): letter.encode("unicode_escape").decode() for letter in hidden})
 
 
 @contextmanager

@@ -116,7 +116,7 @@ class RunFolder:
 def _clear(path: Path, resumed: bool) -> None:
     """Remove what an earlier run left. Raises OSError where a folder stands in the place of a file."""
     checkpoint = () if resumed else ("checkpoint.bin",)
-    for name in (*OWN_FILES, "map.ply", "mesh.ply", "report.html", *checkpoint):
+    for name in (*OWN_FILES, "map.ply", "mesh.ply", "report.html", "outcome.json", *checkpoint):
         (path / name).unlink(missing_ok=True)
     for left in path.glob("*.part"):
         left.unlink(missing_ok=True)

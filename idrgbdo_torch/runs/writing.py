@@ -15,7 +15,12 @@ def cannot_write(path: Path, error: OSError) -> IdRgbdoError:
     return IdRgbdoError(f"out: cannot write '{path}': {why}; make room there, or pass another --out")
 
 
-def write_whole(path: Path, content: str | bytes) -> None:
+def is_file_name(name: str) -> bool:
+    """Whether a name from outside may be that of a file: it leads nowhere else and can be shown."""
+    return name.isprintable() and name not in ("", ".", "..") and not any(sign in name for sign in '/\\:*?"<>|')
+
+
+def write_whole(path: Path, content: str | bytes, make_folder: bool = False) -> None:
     """Replace a file in one step; a link is replaced, not followed. Raises IdRgbdoError where that fails.
 
     Names that are not UTF-8 occur in texts as lone surrogates, which are written as \\udcff.
@@ -23,6 +28,8 @@ def write_whole(path: Path, content: str | bytes) -> None:
     data = content if isinstance(content, bytes) else content.encode("utf-8", errors="backslashreplace")
     part = path.with_name(path.name + ".part")
     try:
+        if make_folder:
+            path.parent.mkdir(parents=True, exist_ok=True)
         part.write_bytes(data)
         part.replace(path)
     except OSError as error:
