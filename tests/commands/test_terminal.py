@@ -72,14 +72,10 @@ def test_nobody_reads_any_more() -> None:
     assert done.stderr == b"" and done.returncode == 141
 
 
-@pytest.mark.parametrize("delay_s", [0.15, 0.3, 0.6, 1.2])
+@pytest.mark.parametrize("delay_s", [0.3, 0.6, 1.2, 2.4])
 def test_ctrl_c_is_one_line_from_the_start(make_recording: Make, tmp_path: Path, delay_s: float) -> None:
     command = [*IDRGBDO, "run", str(make_recording(frames=300)), "--out", str(tmp_path / "out")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    deadline = time.monotonic() + 20
-    mapped = Path(f"/proc/{process.pid}/stat")
-    while time.monotonic() < deadline and mapped.exists() and not started(process.pid):
-        time.sleep(0.002)
     time.sleep(delay_s)
     process.send_signal(signal.SIGINT)
     time.sleep(0.05)
@@ -90,17 +86,6 @@ def test_ctrl_c_is_one_line_from_the_start(make_recording: Make, tmp_path: Path,
     written = tmp_path / "out" / "trajectory.txt"
     if written.exists() and written.read_text().count("\n") > 1:
         assert len(read_tum(written)) > 0
-
-
-def started(pid: int) -> bool:
-    """Whether the interpreter has come to the package: it no longer ends by SIGINT's default, nor by Python's own."""
-    try:
-        maps = Path(f"/proc/{pid}/maps").read_text()
-        status = Path(f"/proc/{pid}/status").read_text()
-    except OSError:
-        return True
-    caught = int(next(line for line in status.splitlines() if line.startswith("SigCgt")).split()[1], 16)
-    return ("python" in maps and bool(caught & 1 << (signal.SIGINT - 1)) and "_signal" in maps) or "select" in maps
 
 
 def test_a_picture_that_cannot_be_written_is_said_so(
