@@ -29,12 +29,15 @@ from ..frame import Frame, Keyframe
 from ..measurement import Noise, Points, WindowPoints, WindowSystem
 from ..odometry import ConstantVelocity, Odometry, Record, Status, TrackResult
 from ..tracker.backends import BACKENDS
+from ..tracker.features import Features
 from ..tracker.history import History
 from ..tracker.id_rgbdo import IdRgbdo
 from ..tracker.mapping import Cloud
 from ..tracker.members import Members
 from ..tracker.motion import Motion
+from ..tracker.places import Place, Places
 from ..tracker.reference import Reference
+from ..tracker.smoothing import Departure
 from ..tracker.tracking import Tracked
 from ..tracker.window import Window
 from .source import Source, difference
@@ -49,7 +52,7 @@ COUNT_BYTES = 8  # of the length of the text
 TYPES = (  # what a state may be made of; a new type in the tracker's state has to be named here
     Config, NoiseConfig, SelectionConfig, TrackingConfig, KeyframeConfig, WindowConfig,
     Pinhole, LinearPrior, Frame, Keyframe, Noise, Points, WindowPoints,
-    WindowSystem, Motion, Reference, History, Members,
+    WindowSystem, Features, Place, Places, Departure, Motion, Reference, History, Members,
     Status, TrackResult, Record, ConstantVelocity, IdRgbdo, Cloud, Tracked, Window,
 )  # fmt: skip
 CONSTANTS = {f"backend {name}": backend for name, backend in BACKENDS.items()}

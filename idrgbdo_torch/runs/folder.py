@@ -118,7 +118,7 @@ def _clear(path: Path, resumed: bool) -> None:
     checkpoint = () if resumed else ("checkpoint.bin",)
     for name in (*OWN_FILES, "map.ply", "mesh.ply", "report.html", "outcome.json", *checkpoint):
         (path / name).unlink(missing_ok=True)
-    for left in path.glob("*.part"):
+    for left in (*path.glob("*.part"), *path.glob("map_segment_*.ply")):
         left.unlink(missing_ok=True)
     if not resumed:
         for name in ("trajectory.png", "frame_*.png"):
