@@ -76,7 +76,8 @@ def track(
     method, records, done_before = state.odometry, state.records, len(state.records)
     snapshots: list[Snapshot] = state.extras
     folder = RunFolder(path, configfile.dump(config), resumed=bool(resume))
-    checkpoints = None if resume is None else Checkpoints(path, identity, [Snapshot])
+    kept = resume is not None and checkpoint.can_keep(method)
+    checkpoints = Checkpoints(path, identity, [Snapshot]) if kept else None
     count_statuses = status_counter()
     pictures = folder.path / "figures"
     with folder:

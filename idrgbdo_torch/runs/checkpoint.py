@@ -103,6 +103,11 @@ class State:
     extras: list[Any]  # whatever else was collected on the way
 
 
+def can_keep(odometry: Odometry) -> bool:
+    """Whether the state of an odometry can be written: one of this package, not one that somebody made of it."""
+    return type(odometry) in TYPES
+
+
 class Checkpoints:
     """Writes the state into a run's folder, now and then."""
 
