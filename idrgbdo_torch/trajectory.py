@@ -89,10 +89,15 @@ def tum_line(timestamp: float, T_world_cam: Tensor) -> str:
     return f"{timestamp:.6f} " + " ".join(f"{round(number, 9) + 0.0:.9f}" for number in numbers) + "\n"
 
 
+def tum_text(trajectory: Trajectory) -> str:
+    """A trajectory as TUM text."""
+    poses = zip(trajectory.timestamps.tolist(), trajectory.T_world_cam, strict=True)
+    return TUM_HEADER + "".join(tum_line(time, pose) for time, pose in poses)
+
+
 def write_tum(path: Path, trajectory: Trajectory) -> None:
     """Write a trajectory as TUM text."""
-    poses = zip(trajectory.timestamps.tolist(), trajectory.T_world_cam, strict=True)
-    path.write_text(TUM_HEADER + "".join(tum_line(time, pose) for time, pose in poses), encoding="utf-8")
+    path.write_text(tum_text(trajectory), encoding="utf-8")
 
 
 def read_tum(path: Path) -> Trajectory:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
+from ..plain import plain
 from .input import Input
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def check(command: CheckCommand) -> int:
     picture = command.out or Path("runs") / sequence.name / "check.png"
     save(picture, draw(report.measured))
     _show(sequence.name, report)
-    print(f"picture: {picture}")
+    print(f"picture: {plain(picture)}")
     return 1 if report.faults else 0
 
 
@@ -53,22 +54,26 @@ def _show(title: str, report: Report) -> None:
     faults = report.faults
     verdict = f"faults: {', '.join(finding.name for finding in faults)}" if faults else "nothing wrong was found"
     if not sys.stdout.isatty():
-        print(f"{title}, {report.measured.sampled} of {report.measured.frames} frames looked at")
+        print(f"{plain(title)}, {report.measured.sampled} of {report.measured.frames} frames looked at")
         for finding in report.findings:
-            print(f"  {finding.verdict.value:<8}{finding.name:<21}{_text(finding, '; ')}")
-        print(verdict)
+            print(f"  {finding.verdict.value:<8}{finding.name:<21}{plain(_text(finding, '; '))}")
+        print(plain(verdict))
         return
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     caption = f"{report.measured.sampled} of {report.measured.frames} frames looked at; {verdict}"
-    table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
+    table = Table(title=Text(plain(title)), title_justify="left", caption=caption, caption_justify="left")
     for column in ("", "verdict", "measured, and what to do"):
         table.add_column(column)
     for finding in report.findings:
         color = COLORS[finding.verdict.value]
-        table.add_row(finding.name, f"[{color}]{finding.verdict.value}[/]", Text(_text(finding, "\n")))
+        table.add_row(
+            finding.name,
+            f"[{color}]{finding.verdict.value}[/]",
+            Text("\n".join(map(plain, _text(finding, "\n").splitlines()))),
+        )
     Console().print(table)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 import re
 import sys
 from collections.abc import Callable, Sequence
@@ -14,6 +16,7 @@ from tyro.conf import subcommand
 from .. import __version__, configfile
 from ..config import Config
 from ..errors import IdRgbdoError
+from ..plain import plain
 from .check import CheckCommand, check
 from .compare import CompareCommand, compare
 from .demo import DemoCommand, demo
@@ -43,16 +46,28 @@ ACTIONS: dict[type, Callable[..., int]] = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """The exit status: 0, 1 after a known error (one line on stderr), 130 after Ctrl-C. Wrong flags exit with 2."""
+    """The exit status: 0, 1 after a known error (one line on stderr), 130 after Ctrl-C. Wrong flags exit with 2.
+
+    141 where nobody reads the output any more, as with `| head`.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # names of files need not be UTF-8
     try:
         command = parse(list(sys.argv[1:] if argv is None else argv))
-        return ACTIONS[type(command)](command)
+        status = ACTIONS[type(command)](command)
+        sys.stdout.flush()
+        return status
     except IdRgbdoError as error:
-        print("error:", " ".join(str(error).split()), file=sys.stderr)
+        print("error:", plain(" ".join(str(error).split())), file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
+    except BrokenPipeError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())  # or the interpreter complains at its end
+        return 141
 
 
 def parse(argv: list[str]) -> Command:

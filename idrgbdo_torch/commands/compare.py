@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
 import importlib
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,6 +46,7 @@ def compare(command: CompareCommand) -> int:
     from ..comparison.table import to_csv, to_json, to_markdown
     from ..report import comparison_page
     from ..report.terminal import show_table
+    from ..runs.writing import write_whole
 
     known = known_methods(command.add)
     if command.methods == "list":
@@ -70,7 +73,7 @@ def compare(command: CompareCommand) -> int:
         ("report.html", comparison_page),
     )
     for name, write in writers:
-        (command.out / name).write_text(write(comparison), encoding="utf-8")
+        write_whole(command.out / name, write(comparison), make_folder=True)
     _show(comparison)
     show_table("results", [("in", str(command.out))])
     return 0
@@ -87,11 +90,30 @@ def known_methods(add: Path | None) -> dict[str, Method]:
     folder = str(add.resolve().parent)
     if folder not in sys.path:
         sys.path.insert(0, folder)  # so that the process in which a method runs can import it too
-    module = importlib.import_module(add.stem)
+    sys.modules.pop(add.stem, None) if _is_at(add) else None  # an edited file is read again
+    try:
+        text = add.read_bytes()
+        module = importlib.import_module(add.stem)
+    except (OSError, SyntaxError, ImportError, AttributeError, LookupError, TypeError, ValueError, NameError) as error:
+        raise IdRgbdoError(f"add: '{add}' cannot be imported ({type(error).__name__}: {error}); correct it") from error
     extra = getattr(module, "METHODS", None)
-    if not isinstance(extra, dict):
+    if not isinstance(extra, dict) or not _is_at(add):
         raise IdRgbdoError(f"add: expected a dictionary METHODS in '{add}', found none; see the README")
-    return {**METHODS, **extra}
+    mark = f"# {add.name}, SHA-256 {hashlib.sha256(text).hexdigest()}\n"
+    return {
+        **METHODS,
+        **{name: replace(method, settings=partial(_marked, method.settings, mark)) for name, method in extra.items()},
+    }
+
+
+def _marked(settings: Callable[[], str], mark: str) -> str:
+    """A method's settings and what its file was: the results of an edited file are other results."""
+    return mark + settings()
+
+
+def _is_at(path: Path) -> bool:
+    """Whether the module of that file's name came from that file."""
+    return Path(getattr(sys.modules.get(path.stem), "__file__", None) or "").resolve() == path.resolve()
 
 
 def choose(known: dict[str, Method], names: str) -> dict[str, Method]:
@@ -115,17 +137,18 @@ def _show(comparison: Comparison) -> None:
     from rich.table import Table
 
     from ..comparison.table import LEGEND, provenance, tables, to_markdown
+    from ..plain import plain
 
     if not sys.stdout.isatty():
-        sys.stdout.write(to_markdown(comparison))
+        sys.stdout.write("".join(plain(line) + "\n" for line in to_markdown(comparison).splitlines()))
         return
     console = Console()
     for table in tables(comparison):
-        grid = Table(title=table.title, title_justify="left")
+        grid = Table(title=escape(plain(table.title)), title_justify="left")
         for number, title in enumerate(table.columns):
-            grid.add_column(title, justify="left" if number == 0 else "right", overflow="fold")
+            grid.add_column(escape(plain(title)), justify="left" if number == 0 else "right", overflow="fold")
         for row in table.rows:
-            grid.add_row(*(escape(cell) for cell in row))
+            grid.add_row(*(escape(plain(cell)) for cell in row))
         console.print(grid)
     console.print(LEGEND, provenance(comparison), sep="\n", markup=False, highlight=False)
 
@@ -140,11 +163,13 @@ def _progress_bar() -> Iterator[Callable[[Progress], None]]:
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
+    from ..plain import plain
+
     with Bar(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
         task = bar.add_task("")
 
         def show(progress: Progress) -> None:
-            title = f"{progress.job}/{progress.jobs} {progress.sequence}: {progress.method}"
+            title = plain(f"{progress.job}/{progress.jobs} {progress.sequence}: {progress.method}")
             if progress.frame == 0:
                 bar.reset(task)
             bar.update(task, description=escape(title), completed=progress.frame, total=progress.frames)

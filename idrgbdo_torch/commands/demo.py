@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 from .. import __version__
@@ -30,7 +29,7 @@ def demo(command: DemoCommand) -> int:
     """Render the demo's sequence unless it is in the cache, and track it."""
     from ..datasets import open_sequence
     from ..report.viewer import open_viewer
-    from ..runs.source import remember
+    from ..runs.source import Reading
     from .synth import render
     from .track import track
 
@@ -39,6 +38,6 @@ def demo(command: DemoCommand) -> int:
     if not (folder / "rgb.txt").exists():
         print(f"rendering {DEMO.frames} frames of a desk into {folder} (once)", flush=True)
         render(DEMO, folder)
-    source = partial(remember, sequence=folder, options={})
+    reading = Reading(folder, {})
     with open_viewer("demo", command.viewer, command.save_rrd) as viewer:
-        return track(open_sequence(folder), "demo", command.settings, command.out, viewer=viewer, source=source)
+        return track(open_sequence(folder), "demo", command.settings, command.out, viewer=viewer, reading=reading)

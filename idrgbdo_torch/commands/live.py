@@ -8,6 +8,7 @@ from typing import Literal
 
 from .. import configfile
 from ..config import Config
+from ..plain import plain
 from .input import Settings
 
 
@@ -40,6 +41,6 @@ def live(command: LiveCommand) -> int:
         depth_scale=command.depth_scale,
         max_frames=command.max_frames,
     )
-    print("reading", sequence.recognised, flush=True)
+    print("reading", plain(sequence.recognised), flush=True)
     with open_viewer(sequence.name, command.viewer, command.save_rrd) as viewer:
         return track(sequence, sequence.name, command.settings, command.out, viewer=viewer)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from ..config import Config
+from ..plain import plain
 from .input import Input, Settings, open_input
 
 
@@ -32,14 +32,14 @@ class RunCommand:
 def run(command: RunCommand) -> int:
     """Track a recording; the exit status is 130 where Ctrl-C ended it."""
     from ..report.viewer import open_viewer
-    from ..runs.source import remember
+    from ..runs.source import Reading
     from .track import track
 
     sequence = open_input(command.sequence, command.input)
-    print("reading", sequence.recognised, flush=True)
+    print("reading", plain(sequence.recognised), flush=True)
     with open_viewer(sequence.name, command.viewer, command.save_rrd) as viewer:
-        source = partial(remember, sequence=command.sequence, options=asdict(command.input))
+        reading = Reading(command.sequence, asdict(command.input))
         return track(
             sequence, sequence.name, command.settings, command.out, command.figures, viewer, command.map,
-            command.resume, source,
+            command.resume, reading,
         )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -19,6 +19,7 @@ from ..evaluation import Evaluation, hints
 from ..evaluation import evaluate as evaluate_trajectory
 from ..frame import BrokenFrame, RgbdFrame
 from ..odometry import Odometry, Record, Run, Status
+from ..plain import plain
 from ..report import Snapshot, run_page, watch
 from ..report.pictures import Picture, draw_frames, draw_trajectory, save
 from ..report.terminal import (
@@ -33,6 +34,8 @@ from ..report.terminal import (
 from ..runs import checkpoint
 from ..runs.checkpoint import Checkpoints, Identity, State
 from ..runs.folder import RunFolder, believable, default_folder, is_refined, measurements
+from ..runs.source import Reading
+from ..runs.writing import write_whole
 from ..trajectory import Trajectory
 from .mesh import fuse_mesh
 
@@ -58,61 +61,68 @@ def track(
     viewer: Viewer | None = None,
     map_kind: str = "points",
     resume: bool | None = None,
-    source: Callable[[Path], None] = lambda folder: None,
+    reading: Reading | None = None,
 ) -> int:
     """Track a sequence into a run folder, evaluate it where there is ground truth, and show the table.
 
     resume: go on with the interrupted run in the folder; None where that can never be, so no checkpoint is kept.
-    source: leaves in the folder what was tracked.
+    reading: what is tracked, left in the folder; a run is continued with the same alone.
     """
     for warning in sequence.warnings:
-        print("warning:", warning, file=sys.stderr)
-    identity = Identity.of(__version__, config, title, sequence.timestamps, sequence.camera)
+        print("warning:", plain(warning), file=sys.stderr)
+    source = None
+    if reading and resume is not None:
+        source = reading.source(sequence if isinstance(sequence, datasets.RecordedSequence) else None)
+    identity = Identity.of(__version__, config, title, sequence.timestamps, sequence.camera, source)
     if resume:
         path = out or (Path("runs") / title / "latest").resolve()
-        state = checkpoint.load(path, identity)
-        print(f"going on after frame {len(state.records)} of {len(sequence)} in {path}", flush=True)
+        state = checkpoint.load(path, identity, [Snapshot])
+        print(f"going on after frame {len(state.records)} of {len(sequence)} in {plain(path)}", flush=True)
     else:
         path = out or default_folder(title, datetime.now())
         state = State(make_odometry(config), [], [])
     method, records, done_before = state.odometry, state.records, len(state.records)
     snapshots: list[Snapshot] = state.extras
-    folder = RunFolder(path, configfile.dump(config))
-    source(path)
-    checkpoints = None if resume is None else Checkpoints(path, identity)
+    folder = RunFolder(path, configfile.dump(config), resumed=bool(resume))
+    kept = resume is not None and checkpoint.can_keep(method)
+    checkpoints = Checkpoints(path, identity, [Snapshot]) if kept else None
     count_statuses = status_counter()
     pictures = folder.path / "figures"
-    with folder, stop_at_interrupt() as stopped, progress_bar(title, len(sequence)) as advance:
-        for record in records:
-            folder.append(record)
-            advance(count_statuses(record))
-        if checkpoints:
-            checkpoints.write(state)
-
-        def on_record(record: Record) -> None:
-            folder.append(record)
-            records.append(record)
-            advance(count_statuses(record))
+    with folder:
+        if reading:
+            reading.remember(path)
+        with stop_at_interrupt() as stopped, progress_bar(title, len(sequence)) as advance:
+            for record in records:
+                folder.append(record)
+                advance(count_statuses(record))
             if checkpoints:
-                checkpoints.offer(state)
+                checkpoints.offer(state, now=True)
 
-        picks = {number - done_before for number in _spread_out(len(sequence))}
-        frames = watch(_until(stopped, _from(sequence, done_before)), method, picks, snapshots)
-        if viewer:
-            frames = viewer.stream(frames, method, records, sequence.groundtruth)
-        frames = draw_frames(frames, method, records, pictures) if figures else frames
-        done = odometry.run(method, frames, on_record, tuple(records))
-        if checkpoints:  # an interrupted run goes on here; a finished one drops it at the end
-            checkpoints.write(state)
-        evaluation, rows = _evaluated(done, method, sequence.groundtruth)
+            def on_record(record: Record) -> None:
+                folder.append(record)
+                records.append(record)
+                advance(count_statuses(record))
+                if checkpoints:
+                    checkpoints.offer(state)
+
+            picks = {number - done_before for number in _spread_out(len(sequence))}
+            frames = watch(_until(stopped, _from(sequence, done_before)), method, picks, snapshots)
+            if viewer:
+                frames = viewer.stream(frames, method, records, sequence.groundtruth)
+            frames = draw_frames(frames, method, records, pictures) if figures else frames
+            done = odometry.run(method, frames, on_record, tuple(records))
+            if checkpoints:  # an interrupted run goes on here; a finished one drops it at the end
+                checkpoints.offer(state, now=True)
+            evaluation, rows = _evaluated(done, method, sequence.groundtruth)
+            summary = folder.finish(done, method, evaluation, with_map=map_kind != "none")
+        if map_kind == "mesh" and done.records:
+            rows.append(("mesh", _mesh(sequence, believable(method.trajectory(), done), path / "mesh.ply")))
+        if done.records:
+            write_whole(path / "report.html", run_page(path, title, sequence.groundtruth, snapshots))
         if figures and records:
             save(pictures / "trajectory.png", _from_above(done, evaluation, sequence.groundtruth))
-        summary = folder.finish(done, method, evaluation, with_map=map_kind != "none")
-    if map_kind == "mesh" and done.records:
-        rows.append(("mesh", fuse_mesh(sequence, believable(method.trajectory(), done), path / "mesh.ply")))
-    if done.records:
-        page = run_page(folder.path, title, sequence.groundtruth, snapshots)
-        (folder.path / "report.html").write_text(page, encoding="utf-8")
+    if checkpoints and checkpoints.problem:
+        print("warning:", plain(checkpoints.problem), file=sys.stderr)
     if checkpoints and not stopped:
         checkpoints.remove()
     looked_at = f"{title}, interrupted" if stopped else title
@@ -127,6 +137,14 @@ def _from(sequence: datasets.RgbdSequence, first: int) -> Iterable[RgbdFrame | B
     if isinstance(sequence, datasets.RecordedSequence):
         return sequence.frames(first)
     return (sequence.read(number) for number in range(first, len(sequence))) if first else sequence
+
+
+def _mesh(sequence: datasets.RgbdSequence, trajectory: Trajectory, out: Path) -> str:
+    """The mesh in words; why there is none, where it could not be made: the rest of the run is worth as much."""
+    try:
+        return fuse_mesh(sequence, trajectory, out)
+    except IdRgbdoError as error:
+        return f"none: {error}"
 
 
 def _evaluated(done: Run, method: Odometry, groundtruth: Trajectory | None) -> tuple[Evaluation | None, Rows]:

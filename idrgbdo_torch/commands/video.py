@@ -61,11 +61,15 @@ def _input_of(run: Path, options: Input) -> tuple[Path, Input]:
     from ..runs.source import recall
     from ..trajectory import read_tum
 
+    if replace(options, max_frames=None) != Input():
+        raise IdRgbdoError("source: a run is filmed as it was read; only --max-frames may be given")
     sequence, values = recall(run)
-    for name in ("camera", "associations"):
-        values[name] = Path(values[name]) if values.get(name) else None
+    tracked = len(read_tum(run / "trajectory.txt"))
     try:
-        return sequence, replace(options, **values | {"max_frames": max(1, len(read_tum(run / "trajectory.txt")))})
+        for name in ("camera", "associations"):
+            values[name] = Path(values[name]) if values.get(name) else None
+        frames = {"max_frames": min(tracked, options.max_frames or tracked)}
+        return sequence, replace(options, **values | frames)
     except TypeError as error:
         raise IdRgbdoError(
             f"source: what '{run}' tracked is of another version ({error}); name the recording"

@@ -11,10 +11,12 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from ..errors import IdRgbdoError
+from ..runs.writing import write_whole
 from .methods import Kind, Method
 
 EXTERNAL = "external"  # the kind of a trajectory that another program wrote
 RESULTS = "results.jsonl"
+STAMP = "outcome.json"  # in a run's folder: the key of its outcome
 
 
 @dataclass(frozen=True)
@@ -63,14 +65,31 @@ def read_outcomes(folder: Path) -> dict[tuple[str, ...], Outcome]:
         return {}
     known = {item.name for item in fields(Outcome)}
     outcomes = {}
-    for line in path.read_text(encoding="utf-8").splitlines():
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as error:
+        raise IdRgbdoError(f"out: cannot read '{path}': {error.strerror}; pass another --out") from error
+    for line in lines:
         try:
             data = json.loads(line)
-        except json.JSONDecodeError:
+            outcome = Outcome(**{name: value for name, value in data.items() if name in known})
+            outcomes[outcome.key] = outcome
+        except (ValueError, TypeError, AttributeError, RecursionError):
             continue
-        outcome = Outcome(**{name: value for name, value in data.items() if name in known})
-        outcomes[outcome.key] = outcome
     return outcomes
+
+
+def stamp(folder: Path, outcome: Outcome) -> None:
+    """Write into a run's folder whose it is: runs of other frames or settings have the same folder's name."""
+    write_whole(folder / STAMP, json.dumps(outcome.key) + "\n", make_folder=True)
+
+
+def stamped(folder: Path, outcome: Outcome) -> bool:
+    """Whether the run in a folder is that of the outcome, and not a later one of other frames or settings."""
+    try:
+        return bool(json.loads((folder / STAMP).read_text(encoding="utf-8")) == list(outcome.key))
+    except (OSError, ValueError, RecursionError):
+        return False
 
 
 def append_outcome(folder: Path, outcome: Outcome) -> None:

@@ -16,9 +16,19 @@ from ..errors import IdRgbdoError
 from ..evaluation import ASSOCIATION_LIMIT_S, evaluate
 from ..frame import RgbdFrame
 from ..machine import machine_name
-from ..trajectory import associate, read_tum, write_tum
+from ..runs.writing import is_file_name, write_whole
+from ..trajectory import associate, read_tum, tum_text
 from .methods import Methods
-from .outcome import EXTERNAL, Outcome, append_outcome, configuration_digest, read_outcomes, versions_of
+from .outcome import (
+    EXTERNAL,
+    Outcome,
+    append_outcome,
+    configuration_digest,
+    read_outcomes,
+    stamp,
+    stamped,
+    versions_of,
+)
 from .summary import Comparison
 from .worker import Source, run_apart
 
@@ -67,6 +77,11 @@ def compare(
     for name in names:
         if names.count(name) > 1:
             raise IdRgbdoError(f"sequences: expected different names, got '{name}' twice; rename a folder")
+    for name in methods:
+        if not is_file_name(name):
+            raise IdRgbdoError(f"methods: expected names that a folder can have, got '{name}'; rename it in METHODS")
+    if twice := {each.name for each in externals} & set(methods):
+        raise IdRgbdoError(f"external: '{twice.pop()}' is the name of a method; pass another")
     by_name = dict(zip(names, sequences, strict=True))
     outside = [_external_outcome(each, by_name[_sequence_of(each, sources, names)], out) for each in externals]
     done = {} if overwrite else read_outcomes(out)
@@ -94,7 +109,7 @@ def compare(
             folder=str(Path("runs") / sequence.name / (f"{name}_{seed}" if method.random else name)),
         )
         known = done.get(outcome.key)
-        if known is None or known.error or not (out / known.folder / "trajectory.txt").exists():
+        if known is None or known.error or not _is_there(out / known.folder, known):
             tracked = 0
             progress = Progress(name, sequence.name, seed, number, len(jobs), 0, len(sequence))
             on_progress(progress)
@@ -106,6 +121,7 @@ def compare(
 
             answer = run_apart(method, seed, source, out / outcome.folder, on_frame)
             known = replace(outcome, error=answer) if isinstance(answer, str) else replace(outcome, **answer)
+            stamp(out / known.folder, known)
             append_outcome(out, known)
         wanted.append(known)
     for outcome in outside:
@@ -116,12 +132,19 @@ def compare(
     return Comparison(tuple(wanted), out, groundtruths)
 
 
+def _is_there(folder: Path, outcome: Outcome) -> bool:
+    """Whether the poses of an outcome are still in its folder."""
+    return (folder / "trajectory.txt").exists() and stamped(folder, outcome)
+
+
 def parse_external(text: str) -> External:
     """NAME=FILE, or NAME@SEQUENCE=FILE."""
     name, _, path = text.partition("=")
     name, _, sequence = name.partition("@")
     if not name or not path:
         raise IdRgbdoError(f"external: expected NAME=FILE or NAME@SEQUENCE=FILE, got '{text}'; correct it")
+    if not is_file_name(name):
+        raise IdRgbdoError(f"external: expected a name that a folder can have, got '{name}'; leave out / and the like")
     return External(name, Path(path), sequence or None)
 
 
@@ -145,14 +168,13 @@ def _sequence_of(external: External, sources: Sequence[Source], names: Sequence[
 
 def _external_outcome(external: External, sequence: RgbdSequence, out: Path) -> Outcome:
     """The outcome of a trajectory file; a frame without a pose is lost."""
-    trajectory = read_tum(external.trajectory)
+    trajectory = read_tum(external.trajectory)  # says what is wrong where it cannot be read
     times = torch.tensor(sequence.timestamps, dtype=torch.float64)
     of_estimate, _ = associate(trajectory.timestamps, times, ASSOCIATION_LIMIT_S)
     matched = len(of_estimate)
     folder = Path("runs") / sequence.name / external.name
-    (out / folder).mkdir(parents=True, exist_ok=True)
     estimate = trajectory.at(of_estimate)
-    write_tum(out / folder / "trajectory.txt", estimate)
+    write_whole(out / folder / "trajectory.txt", tum_text(estimate), make_folder=True)
     evaluation = None
     if sequence.groundtruth is not None and matched > 2:
         with contextlib.suppress(IdRgbdoError):  # the reference covers too little of the estimate

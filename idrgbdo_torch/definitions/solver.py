@@ -80,3 +80,20 @@ def robust_cost(r: Tensor, threshold: float | Tensor, limit: float | Tensor = fl
     """
     size = torch.minimum(r.abs(), torch.as_tensor(limit, dtype=r.dtype, device=r.device))
     return torch.where(size <= threshold, 0.5 * size * size, threshold * (size - 0.5 * threshold))
+
+
+def pose_information(H: Tensor, affine_information: Tensor) -> Tensor:
+    """(B, 6, 6): brightness, with its prior (B, 2, 2), marginalised from the measurements' H (B, 8, 8)."""
+    brightness = H[:, 6:, 6:] + affine_information
+    out: Tensor = H[:, :6, :6] - H[:, :6, 6:] @ torch.linalg.solve(brightness, H[:, 6:, :6])
+    return 0.5 * (out + out.mT)
+
+
+def brightness_information(H: Tensor, least: Tensor) -> Tensor:
+    """(B, 2, 2) of the brightness, the pose marginalised from H (B, 8, 8); `least` (B, 2, 2) where that fails."""
+    columns = [solve(H[:, :6, :6], H[:, :6, 6 + k]) for k in range(2)]
+    x = torch.stack([column.y for column in columns], dim=-1)  # (B, 6, 2)
+    out = H[:, 6:, 6:] - H[:, 6:, :6] @ x
+    out = 0.5 * (out + out.mT)
+    positive = (out[:, 0, 0] > 0) & (torch.linalg.det(out) > 0) & columns[0].ok & columns[1].ok
+    return torch.where(positive[:, None, None], out, least)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -26,10 +26,11 @@ from ..measurement import (
 from .camera import Pinhole
 from .checks import believable, checked_targets
 from .convert import SMALLEST, Array, chosen, inverse_of_depth, matrix, noise_of_arrays, pinhole
+from .implicit import implicit_root
 from .linearise import NormalEquations, ResidualNoise, Target, linearise_pairs, residual_noise, robust_scale
 from .points import HostPoints, tracking_pyramid
 from .se3 import inverse, log, retract
-from .solver import solve
+from .solver import brightness_information, pose_information, solve
 
 STEPS = (8, 10, 12, 12)  # most iterations per level, finest first
 NOTHING = torch.zeros(0)
@@ -104,9 +105,8 @@ def align_pairs(
 
     depth: (B, H, W) m of the targets, 0 where missing; without it brightness alone counts. T_guess: (B, 4, 4) of
     T_target_host, where the search starts, identity by default; a prior (see prior_at) is started from and held too.
-    steps: most iterations per level, finest first. gradient_steps: Gauss-Newton steps at the end that autograd sees: 0
-    for none; 1 gives the gradient of the implicit function at the minimum; more unroll. The search before them is not
-    recorded.
+    steps: most iterations per level, finest first. gradient_steps: what autograd sees. 0: nothing; 1: the result as an
+    implicit function of its inputs, after the search has gone on until nothing moves; more: so many Gauss-Newton steps.
     Raises IdRgbdoError for images of another size than the camera's, gray levels in 0..1, depth in millimetres.
     """
     B = len(points.uv)
@@ -127,16 +127,41 @@ def align_pairs(
     with torch.no_grad():
         found = descend(problems, prior, noise)
     T, a = found.T_target_host, found.affine
-    system = linearise_pairs(points, problems[0].target, T, a, noise, found.scale, noise.outlier)
+
+    def system_at(T: Tensor, a: Tensor) -> NormalEquations:
+        return linearise_pairs(points, problems[0].target, T, a, noise, found.scale, noise.outlier)
+
+    system = system_at(T, a)
+    implicit = gradient_steps == 1 and system.b.requires_grad
     for _ in range(gradient_steps):
-        H, b, _energy = with_prior(system, T, a, found.prior)
-        step = solve(H + FLOOR * torch.eye(8, dtype=H.dtype), b).y
-        T, a = retract(step[:, :6], T), a + step[:, 6:]
-        system = linearise_pairs(points, problems[0].target, T, a, noise, found.scale, noise.outlier)
+        T, a = _converged(system_at, T, a, found.prior) if implicit else _stepped(system, T, a, found.prior)
+        system = system_at(T, a)
     certain = pose_information(system.H, found.prior.affine_information)
     finite = T.isfinite().all(-1).all(-1) & certain.isfinite().all(-1).all(-1)
     ok = finite & (system.kept.sum(-1) >= FEWEST) & believable(points, gray, system.rms, a)
     return AlignedPairs(T, a, certain, system.rms, system.kept, found.iterations, ok)
+
+
+def _stepped(system: NormalEquations, T: Tensor, a: Tensor, prior: Prior) -> tuple[Tensor, Tensor]:
+    """One Gauss-Newton step."""
+    H, b, _ = with_prior(system, T, a, prior)
+    step = solve(H + FLOOR * torch.eye(8, dtype=H.dtype), b).y
+    return retract(step[:, :6], T), a + step[:, 6:]
+
+
+def _converged(
+    system_at: Callable[[Tensor, Tensor], NormalEquations], T: Tensor, a: Tensor, prior: Prior
+) -> tuple[Tensor, Tensor]:
+    """The pose and brightness nearby at which nothing moves, with their gradient."""
+    floor = FLOOR * torch.eye(8, dtype=torch.float64)
+
+    def equation(x: Tensor) -> tuple[Tensor, Tensor]:
+        moved = retract(x[:, :6], T), a + x[:, 6:]
+        H, b, _energy = with_prior(system_at(*moved), *moved, prior)
+        return H + floor, b
+
+    x = implicit_root(equation, a.new_zeros(len(a), 8))
+    return retract(x[:, :6], T), a + x[:, 6:]
 
 
 def descend(problems: Sequence[Problem], prior: Prior, noise: ResidualNoise) -> Estimate:
@@ -235,23 +260,6 @@ def with_prior(system: NormalEquations, T: Tensor, affine: Tensor, prior: Prior)
     H = system.H + pad(known, (0, 2, 0, 2)) + pad(prior.affine_information, (6, 0, 6, 0))
     b = system.b + torch.cat([push, -pull_affine], dim=-1)
     return H, b, system.energy - (off * push).sum(-1) + (off_affine * pull_affine).sum(-1)
-
-
-def pose_information(H: Tensor, affine_information: Tensor) -> Tensor:
-    """(B, 6, 6): brightness, with its prior (B, 2, 2), marginalised from the measurements' H (B, 8, 8)."""
-    brightness = H[:, 6:, 6:] + affine_information
-    out: Tensor = H[:, :6, :6] - H[:, :6, 6:] @ torch.linalg.solve(brightness, H[:, 6:, :6])
-    return 0.5 * (out + out.mT)
-
-
-def brightness_information(H: Tensor, least: Tensor) -> Tensor:
-    """(B, 2, 2) of the brightness, the pose marginalised from H (B, 8, 8); `least` (B, 2, 2) where that fails."""
-    columns = [solve(H[:, :6, :6], H[:, :6, 6 + k]) for k in range(2)]
-    x = torch.stack([column.y for column in columns], dim=-1)  # (B, 6, 2)
-    out = H[:, 6:, 6:] - H[:, 6:, :6] @ x
-    out = 0.5 * (out + out.mT)
-    positive = (out[:, 0, 0] > 0) & (torch.linalg.det(out) > 0) & columns[0].ok & columns[1].ok
-    return torch.where(positive[:, None, None], out, least)
 
 
 def align(

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import http
 import http.client
 import json
+import queue
 import re
+import threading
 import time
 import urllib.error
+import urllib.parse
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
@@ -19,21 +23,42 @@ CHUNK = 1 << 20  # bytes
 TIMEOUT_S = 60.0  # without a byte
 WAIT_S = 2.0  # before the first repetition, then twice as long each time
 PARTIAL = 206
-DROPPED = (urllib.error.URLError, http.client.HTTPException, ConnectionError, TimeoutError)
+DROPPED = (urllib.error.URLError, http.client.HTTPException, ConnectionError, TimeoutError, UnicodeError)
+HTTP_ONLY = (
+    urllib.request.ProxyHandler,
+    urllib.request.UnknownHandler,
+    urllib.request.HTTPHandler,
+    urllib.request.HTTPSHandler,
+    urllib.request.HTTPDefaultErrorHandler,
+    urllib.request.HTTPRedirectHandler,
+    urllib.request.HTTPErrorProcessor,
+)  # no file:, ftp: or data:, not even behind a redirection
 GIVE_UP = range(400, 500)  # the request itself is wrong: repeating it is no use
+OPEN_S = 120.0  # until the server's answer begins, redirections included
+SLOW_S = 60.0  # over which the speed is measured
+SLOWEST = 1000.0  # bytes a second; a server that is slower will not get done
+MOST_DIGITS = 15  # of a length that is believed
 
 OnBytes = Callable[[int, int | None], None]  # bytes so far, bytes in all where the server says
 
 
 def fetch(
-    url: str, target: Path, *, tries: int = 6, wait_s: float = WAIT_S, on_bytes: OnBytes = lambda done, total: None
+    url: str,
+    target: Path,
+    *,
+    most_bytes: int | None = None,
+    tries: int = 6,
+    wait_s: float = WAIT_S,
+    on_bytes: OnBytes = lambda done, total: None,
 ) -> None:
     """Download url to the file target, by way of target.part.
 
     A dropped connection, in this call or an earlier one, is resumed by a Range request, unless the file on the server
     has changed since (ETag or Last-Modified) or the server cannot resume: then it begins anew. `tries` failures in a
-    row without a byte between them end it. Raises IdRgbdoError where the file cannot be had.
+    row without a byte between them end it. Raises IdRgbdoError where the file cannot be had, comes at less than 1 kB/s,
+    or is larger than most_bytes.
     """
+    check_url(url)
     part, note = target.with_name(target.name + ".part"), target.with_name(target.name + ".part.json")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -41,7 +66,7 @@ def fetch(
         while failures < tries:
             before = part.stat().st_size if part.exists() else 0
             try:
-                if _receive(url, part, note, on_bytes):
+                if _receive(url, part, note, most_bytes, on_bytes):
                     part.replace(target)
                     note.unlink(missing_ok=True)
                     return
@@ -63,50 +88,113 @@ def fetch(
     raise IdRgbdoError(f"download: '{url}' failed {tries} times in a row ({problem}); call again to go on from there")
 
 
-def _receive(url: str, part: Path, note: Path, on_bytes: OnBytes) -> bool:
+def check_url(url: str) -> None:
+    """Raises IdRgbdoError for what is no http or https address."""
+    try:
+        parts = urllib.parse.urlsplit(url)
+        good = parts.scheme in ("http", "https") and parts.hostname and parts.port != 0 and url.isascii()
+        good = good and url.isprintable() and " " not in url
+    except ValueError:
+        good = False
+    if not good:
+        raise IdRgbdoError(f"url: expected an address such as https://server/folder, got '{url}'; correct --url")
+
+
+def _receive(url: str, part: Path, note: Path, most_bytes: int | None, on_bytes: OnBytes) -> bool:
     """Append what the server sends to `part`; whether that is all of it."""
     known = _read_note(note)
-    have = part.stat().st_size if part.exists() and known.get("version") else 0
+    have = part.stat().st_size if part.exists() and known else 0
     headers = {"User-Agent": "idrgbdo", "Accept-Encoding": "identity"}
     if have:
-        headers |= {"Range": f"bytes={have}-", "If-Range": known["version"]}
-    with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=TIMEOUT_S) as response:
+        headers |= {"Range": f"bytes={have}-", "If-Range": known}
+    with _opened(urllib.request.Request(url, headers=headers)) as response:
         resumed = response.status == PARTIAL
         start, total = _range_of(response) if resumed else (0, _length_of(response))
         if start != have and resumed:
             raise http.client.HTTPException(f"asked for bytes from {have} on, got them from {start} on")
+        _check_size(url, total or 0, most_bytes, part)
         tag = response.headers.get("ETag", "")
         version = tag if tag.startswith('"') else response.headers.get("Last-Modified", "")  # a weak tag won't do
         note.write_text(json.dumps({"version": version}), encoding="utf-8")
         done = have if resumed else 0
+        begin, before = time.monotonic(), done
         with part.open("ab" if resumed else "wb") as file:
             on_bytes(done, total)
-            while chunk := response.read1(CHUNK):  # a drop raises here, what came before is in the file
+            while chunk := _read_some(response):  # a drop raises here, what came before is in the file
                 file.write(chunk)
                 done += len(chunk)
+                _check_size(url, done, most_bytes, part)
                 on_bytes(done, total)
+                if (elapsed := time.monotonic() - begin) > SLOW_S:
+                    if done - before < SLOWEST * elapsed:
+                        raise IdRgbdoError(
+                            f"download: '{url}' comes at less than {SLOWEST:.0f} bytes a second; "
+                            "call again later to go on from there"
+                        )
+                    begin, before = time.monotonic(), done
     return total is None or done == total
+
+
+def _check_size(url: str, size: int, most: int | None, part: Path) -> None:
+    if most is not None and size > most:
+        part.unlink(missing_ok=True)
+        raise IdRgbdoError(f"download: '{url}' is larger than the {most} bytes that this file can have; check --url")
+
+
+def _read_some(response: Any) -> bytes:
+    try:
+        data: bytes = response.read1(CHUNK)
+    except OSError as error:  # of the network; those of the disk mean something else
+        raise ConnectionError(str(error) or type(error).__name__) from error
+    return data
+
+
+def _opened(request: urllib.request.Request) -> Any:
+    """The server's answer, its head complete. In a thread, since each byte of a head may take as long as TIMEOUT_S."""
+    answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    opener = urllib.request.OpenerDirector()
+    for handler in HTTP_ONLY:
+        opener.add_handler(handler())
+
+    def ask() -> None:
+        try:
+            answers.put(opener.open(request, timeout=TIMEOUT_S))
+        except (OSError, http.client.HTTPException, ValueError) as error:
+            answers.put(error)
+
+    threading.Thread(target=ask, daemon=True).start()
+    try:
+        answer = answers.get(timeout=OPEN_S)
+    except queue.Empty:
+        raise TimeoutError(f"no answer in {OPEN_S:.0f} s") from None
+    if isinstance(answer, urllib.error.HTTPError | http.client.HTTPException | TimeoutError):
+        raise answer
+    if isinstance(answer, OSError | ValueError):  # a redirection to nonsense among them
+        raise ConnectionError(str(answer) or type(answer).__name__) from answer
+    return answer
 
 
 def _length_of(response: Any) -> int | None:
     length = response.headers.get("Content-Length", "")
-    return int(length) if length.isdecimal() else None
+    return int(length) if length.isdecimal() and len(length) <= MOST_DIGITS else None
 
 
 def _range_of(response: Any) -> tuple[int, int | None]:
     """First byte, and size of the whole file, of a partial answer."""
-    match = re.fullmatch(r"bytes (\d+)-\d+/(\d+|\*)", response.headers.get("Content-Range", ""))
+    match = re.fullmatch(r"bytes (\d{1,15})-\d+/(\d{1,15}|\*)", response.headers.get("Content-Range", ""))
     if match is None:
         raise http.client.HTTPException("a partial answer without a valid Content-Range")
     return int(match[1]), None if match[2] == "*" else int(match[2])
 
 
-def _read_note(note: Path) -> dict[str, str]:
+def _read_note(note: Path) -> str:
+    """The version of the file that is there in part; empty where that is not known."""
     try:
         known = json.loads(note.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return known if isinstance(known, dict) else {}
+        version = known["version"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return ""
+    return version if isinstance(version, str) and version.isascii() and version.isprintable() else ""
 
 
 def sha256_of(path: Path) -> str:
@@ -121,11 +209,18 @@ def check_sum(path: Path, sums: Path) -> str:
     A file without a line gets one: what came the first time is what must come later. Raises IdRgbdoError where they
     differ.
     """
-    found = sha256_of(path)
-    lines = sums.read_text(encoding="utf-8").splitlines() if sums.exists() else []
+    try:
+        found = sha256_of(path)
+        lines = sums.read_text(encoding="utf-8", errors="surrogateescape").splitlines() if sums.exists() else []
+    except OSError as error:
+        raise IdRgbdoError(f"download: cannot read '{error.filename}': {error.strerror}; remove it") from error
     recorded = {name.lstrip("*"): value for value, _, name in (line.partition("  ") for line in lines)}
     if path.name not in recorded:
-        sums.write_text("\n".join([*lines, f"{found}  {path.name}"]) + "\n", encoding="utf-8")
+        text = "\n".join([*lines, f"{found}  {path.name}"]) + "\n"
+        try:
+            sums.write_text(text, encoding="utf-8", errors="surrogateescape")
+        except OSError as error:
+            raise IdRgbdoError(f"download: cannot write '{sums}': {error.strerror}; pass another --out") from error
     elif recorded[path.name] != found:
         raise IdRgbdoError(
             f"download: {path.name} has SHA-256 {found[:12]}..., but '{sums}' recorded {recorded[path.name][:12]}...; "

@@ -13,26 +13,29 @@ from .fetch import WAIT_S, check_sum, fetch
 
 BASE_URL = "https://cvg.cit.tum.de/rgbd/dataset"
 SUMS = "SHA256SUMS"
-TUM_SEQUENCES = (  # in the order of Table 1
-    "freiburg1_desk",
-    "freiburg1_floor",
-    "freiburg1_plant",
-    "freiburg1_rpy",
-    "freiburg1_xyz",
-    "freiburg2_desk",
-    "freiburg2_dishes",
-    "freiburg2_rpy",
-    "freiburg2_xyz",
-    "freiburg3_cabinet",
-    "freiburg3_large_cabinet",
-    "freiburg3_long_office_household",
-    "freiburg3_nostructure_texture_far",
-    "freiburg3_nostructure_texture_near_withloop",
-    "freiburg3_structure_notexture_far",
-    "freiburg3_structure_notexture_near",
-    "freiburg3_structure_texture_far",
-    "freiburg3_structure_texture_near",
-)
+RAW_BYTES_A_SECOND = 30 * 640 * 480 * 5  # uncompressed colour and depth: no archive is larger than its images
+SLACK = 1.25  # for lists, and for recordings that began before the published duration
+SECONDS = {  # as published, in the order of Table 1
+    "freiburg1_desk": 23.4,
+    "freiburg1_floor": 49.9,
+    "freiburg1_plant": 41.5,
+    "freiburg1_rpy": 27.7,
+    "freiburg1_xyz": 30.1,
+    "freiburg2_desk": 99.4,
+    "freiburg2_dishes": 100.6,
+    "freiburg2_rpy": 110.0,
+    "freiburg2_xyz": 122.7,
+    "freiburg3_cabinet": 38.6,
+    "freiburg3_large_cabinet": 34.0,
+    "freiburg3_long_office_household": 87.1,
+    "freiburg3_nostructure_texture_far": 15.8,
+    "freiburg3_nostructure_texture_near_withloop": 56.5,
+    "freiburg3_structure_notexture_far": 27.3,
+    "freiburg3_structure_notexture_near": 36.4,
+    "freiburg3_structure_texture_far": 31.6,
+    "freiburg3_structure_texture_near": 36.9,
+}
+TUM_SEQUENCES = tuple(SECONDS)
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,11 @@ class Progress:
     jobs: int
     done: int  # bytes
     total: int | None
+
+
+def most_bytes(name: str) -> int:
+    """That a sequence can have, packed or unpacked."""
+    return round(SECONDS[name] * RAW_BYTES_A_SECOND * SLACK)
 
 
 def long_name(name: str) -> str:
@@ -87,9 +95,10 @@ def download_tum(
             def on_bytes(done: int, total: int | None, name: str = name, job: int = job) -> None:
                 on_progress(Progress(name, job, len(known), done, total))
 
-            fetch(f"{url.rstrip('/')}/{name.partition('_')[0]}/{full}.tgz", archive, wait_s=wait_s, on_bytes=on_bytes)
+            source = f"{url.rstrip('/')}/{name.partition('_')[0]}/{full}.tgz"
+            fetch(source, archive, most_bytes=most_bytes(name), wait_s=wait_s, on_bytes=on_bytes)
         check_sum(archive, out / SUMS)
-        extract(archive, folder)
+        extract(archive, folder, most_bytes=most_bytes(name))
         if not (folder / "rgb.txt").exists():
             raise IdRgbdoError(
                 f"archive: '{archive}' holds no rgb.txt, so it is no sequence; remove both and call again"

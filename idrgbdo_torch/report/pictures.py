@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from ..odometry import Record
 from ..tracker.inspection import Inspectable
@@ -161,9 +162,13 @@ def from_above(T_world_cam: Tensor) -> Tensor:
 
 
 def save(path: Path, picture: Picture) -> None:
-    """Write a picture as PNG, making its folder."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1]))
+    """Write a picture as PNG, making its folder. Raises IdRgbdoError where that fails."""
+    _, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data.tobytes())
+    except OSError as error:
+        raise IdRgbdoError(f"out: cannot write '{path}': {error.strerror}; pass another --out") from error
 
 
 def _blank(height: int, width: int) -> Picture:

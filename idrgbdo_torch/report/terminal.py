@@ -11,6 +11,7 @@ from typing import Any
 
 from ..evaluation import Evaluation
 from ..odometry import Record, Run, Status, lost_because
+from ..plain import plain
 
 Rows = list[tuple[str, str]]
 MOST_REASONS = 3  # kinds of reasons for a loss that are shown
@@ -25,10 +26,10 @@ def progress_bar(title: str, total: int) -> Iterator[Callable[[str], None]]:
         return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
     details = (TextColumn("{task.fields[fps]:.0f} fps {task.fields[note]}"), TimeRemainingColumn())
     with Progress(*columns, *details) as progress:
-        task = progress.add_task(title, total=total, fps=0.0, note="")
+        task = progress.add_task(plain(title), total=total, fps=0.0, note="")
         begin, done = time.monotonic(), 0
 
         def advance(note: str) -> None:
@@ -52,6 +53,7 @@ def status_counter() -> Callable[[Record], str]:
 
 def show_table(title: str, rows: Rows) -> None:
     """Names and values: a table on a terminal, else plain lines."""
+    title, rows = plain(title), [(plain(name), plain(value)) for name, value in rows]
     if not sys.stdout.isatty():
         width = max(len(name) for name, _ in rows)
         print(title, *(f"  {name:<{width}}  {value}" for name, value in rows), sep="\n")
@@ -60,9 +62,9 @@ def show_table(title: str, rows: Rows) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=title, title_justify="left", show_header=False)
+    table = Table(title=Text(title), title_justify="left", show_header=False)
     for name, value in rows:
-        table.add_row(name, Text(value))
+        table.add_row(Text(name), Text(value))
     Console().print(table)
 
 

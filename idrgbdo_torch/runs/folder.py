@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import io
 import json
 import os
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from statistics import fmean, median
-from typing import IO, Any, Self
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -21,8 +23,9 @@ from ..evaluation import Evaluation, Measurement
 from ..machine import machine_name
 from ..odometry import Odometry, Record, Run, Status, lost_because
 from ..tracker.inspection import Inspectable
-from ..tracker.mapping import write_ply
-from ..trajectory import TUM_HEADER, Trajectory, nearest, read_tum, tum_line, write_tum
+from ..tracker.mapping import ply_bytes
+from ..trajectory import TUM_HEADER, Trajectory, nearest, read_tum, tum_line, tum_text
+from .writing import Lines, lock, write_whole
 
 DEGREES_OF_FREEDOM = ("vx", "vy", "vz", "wx", "wy", "wz")
 UPPER = [(row, column) for row in range(6) for column in range(row, 6)]
@@ -36,46 +39,58 @@ OWN_FILES = ("trajectory.txt", "trajectory_refined.txt", "keyframes.txt", "frame
 
 
 class RunFolder:
-    """Writes trajectory.txt, keyframes.txt and frames.csv as frames come, and the rest at the end."""
+    """Writes trajectory.txt, keyframes.txt and frames.csv as frames come, and the rest at the end.
 
-    def __init__(self, path: Path, config_toml: str = "") -> None:
-        """Make the folder, with the resolved configuration in it; files of an earlier run there are replaced.
+    One process at a time: the folder is locked until it is closed. When the disk is full a frame stands in all three
+    files or in none.
+    """
 
-        Raises IdRgbdoError where the folder cannot be written.
+    def __init__(self, path: Path, config_toml: str = "", resumed: bool = False) -> None:
+        """Make the folder, with the resolved configuration in it; what an earlier run left there goes.
+
+        resumed: the earlier run is continued, so its checkpoint and its figures stay.
+        Raises IdRgbdoError where the folder cannot be written, or another run is writing to it.
         """
         self.path = path
         try:
             path.mkdir(parents=True, exist_ok=True)
-            for name in (*OWN_FILES, "map.ply", "mesh.ply"):
-                (path / name).unlink(missing_ok=True)
-            (path / "config.toml").write_text(config_toml, encoding="utf-8")
-            self._trajectory, self._keyframes, self._frames = (
-                (path / name).open("w", encoding="utf-8", newline="")
-                for name in ("trajectory.txt", "keyframes.txt", "frames.csv")
-            )
+            self._lock = lock(path)
+            _clear(path, resumed)
+            (path / "config.toml").write_text(config_toml, encoding="utf-8", errors="backslashreplace")
+            self._trajectory, self._keyframes, self._frames = self._files = [
+                Lines(path / name) for name in ("trajectory.txt", "keyframes.txt", "frames.csv")
+            ]
         except OSError as error:
-            raise IdRgbdoError(f"out: cannot write '{path}': {error.strerror}; pass another --out") from error
-        for file in (self._trajectory, self._keyframes):
-            _append(file, TUM_HEADER)
-        self._rows = csv.writer(self._frames, lineterminator="\n")
-        self._rows.writerow(COLUMNS)
-        self._frames.flush()
+            raise IdRgbdoError(
+                f"out: cannot write '{error.filename or path}': {error.strerror}; pass another --out"
+            ) from error
+        self._trajectory.append(TUM_HEADER)
+        self._keyframes.append(TUM_HEADER)
+        self._frames.append(_csv_line(COLUMNS))
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for file in (self._trajectory, self._keyframes, self._frames):
+        for file in self._files:
             file.close()
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
     def append(self, record: Record) -> None:
-        """Write one frame, flushed to the system at once."""
+        """Write one frame, handed to the system at once. Raises IdRgbdoError where it does not fit."""
         line = tum_line(record.timestamp, record.result.T_world_cam)
-        _append(self._trajectory, line)
-        if record.result.keyframe:
-            _append(self._keyframes, line)
-        self._rows.writerow(_row(record))
-        self._frames.flush()
+        sizes = [file.size for file in self._files]
+        try:
+            self._trajectory.append(line)
+            if record.result.keyframe:
+                self._keyframes.append(line)
+            self._frames.append(_csv_line(_row(record)))
+        except IdRgbdoError:
+            for file, size in zip(self._files, sizes, strict=True):
+                file.cut(size)
+            raise
 
     def finish(
         self, run: Run, odometry: Odometry, evaluation: Evaluation | None = None, with_map: bool = True
@@ -86,19 +101,31 @@ class RunFolder:
         """
         refined = odometry.trajectory()
         if is_refined(refined, run):
-            write_tum(self.path / "trajectory_refined.txt", refined)
+            write_whole(self.path / "trajectory_refined.txt", tum_text(refined))
             times = [record.timestamp for record in run.records if record.result.keyframe]
             if times:
                 self._keyframes.close()
-                write_tum(self.path / "keyframes.part", refined.at(_indices(refined, times)))
-                (self.path / "keyframes.part").replace(self.path / "keyframes.txt")
+                write_whole(self.path / "keyframes.txt", tum_text(refined.at(_indices(refined, times))))
         if with_map and isinstance(odometry, Inspectable):
             for segment, cloud in odometry.maps().items():
                 name = f"map_segment_{segment}.ply" if segment else "map.ply"
-                write_ply(self.path / name, cloud)
+                write_whole(self.path / name, ply_bytes(cloud))
         summary = summarise(run, evaluation)
-        (self.path / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+        write_whole(self.path / "summary.json", json.dumps(summary, indent=2) + "\n")
         return summary
+
+
+def _clear(path: Path, resumed: bool) -> None:
+    """Remove what an earlier run left. Raises OSError where a folder stands in the place of a file."""
+    checkpoint = () if resumed else ("checkpoint.bin",)
+    for name in (*OWN_FILES, "map.ply", "mesh.ply", "report.html", "outcome.json", *checkpoint):
+        (path / name).unlink(missing_ok=True)
+    for left in (*path.glob("*.part"), *path.glob("map_segment_*.ply")):
+        left.unlink(missing_ok=True)
+    if not resumed:
+        for name in ("trajectory.png", "frame_*.png"):
+            for picture in (path / "figures").glob(name):
+                picture.unlink(missing_ok=True)
 
 
 def believable(trajectory: Trajectory, run: Run) -> Trajectory:
@@ -192,11 +219,15 @@ def default_folder(sequence: str, now: datetime, root: Path = Path("runs")) -> P
     """A new folder root/<sequence>/<time>, with the link `latest` beside it pointing there."""
     parent, stamp = root / sequence, now.strftime("%Y-%m-%d_%H-%M-%S")
     name, count = stamp, 1
-    while (parent / name).exists():
-        count += 1
-        name = f"{stamp}_{count}"
     try:
-        (parent / name).mkdir(parents=True)
+        parent.mkdir(parents=True, exist_ok=True)
+        while True:
+            try:
+                (parent / name).mkdir()  # another run may take the same name at the same time
+                break
+            except FileExistsError:
+                count += 1
+                name = f"{stamp}_{count}"
     except OSError as error:
         raise IdRgbdoError(f"out: cannot make '{parent / name}': {error.strerror}; pass --out DIR") from error
     with contextlib.suppress(OSError):  # a file system without links
@@ -211,9 +242,10 @@ def _indices(trajectory: Trajectory, times: list[float]) -> Tensor:
     return nearest(trajectory.timestamps, torch.tensor(times, dtype=torch.float64))
 
 
-def _append(file: IO[str], line: str) -> None:
-    file.write(line)
-    file.flush()
+def _csv_line(cells: Iterable[str]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerow(cells)
+    return text.getvalue()
 
 
 def _row(record: Record) -> list[str]:

@@ -66,9 +66,13 @@ class Mesh:
     def write(self, path: Path) -> None:
         """A binary PLY. Raises IdRgbdoError where it cannot be written."""
         o3d = load_open3d()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if not o3d.t.io.write_triangle_mesh(str(path), self.triangles):
-            raise IdRgbdoError(f"mesh: cannot write '{path}'; pass another --out")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            written = o3d.t.io.write_triangle_mesh(str(path), self.triangles)
+        except OSError as error:
+            raise IdRgbdoError(f"mesh: cannot write '{path}': {error.strerror}; pass another --out") from error
+        if not written:
+            raise IdRgbdoError(f"mesh: cannot write '{path}'; make room there or pass another --out")
 
 
 class _BudgetSpent(IdRgbdoError):
@@ -99,6 +103,8 @@ def fuse(
 
 def _poses(frames: Frames, trajectory: Trajectory) -> list[tuple[int, torch.Tensor]]:
     """Numbers of the frames with a pose, and T_cam_world."""
+    if len(trajectory) == 0:
+        raise IdRgbdoError("trajectory: expected poses, got none that is to be believed; see why frames were lost")
     times = torch.tensor(frames.timestamps, dtype=torch.float64)
     index = nearest(trajectory.timestamps, times)
     near = (trajectory.timestamps[index] - times).abs() <= SAME_TIME_S

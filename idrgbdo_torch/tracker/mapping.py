@@ -136,6 +136,11 @@ def merge_in_voxels(cloud: Cloud, size: float) -> Cloud:
 
 def write_ply(path: Path, cloud: Cloud) -> None:
     """A binary PLY point cloud with colours and normals (0, 0, 0 where unknown)."""
+    path.write_bytes(ply_bytes(cloud))
+
+
+def ply_bytes(cloud: Cloud) -> bytes:
+    """The contents of such a file."""
     columns: dict[str, NDArray[Any]] = {"x": cloud.xyz[:, 0], "y": cloud.xyz[:, 1], "z": cloud.xyz[:, 2]}
     columns |= {f"n{axis}": cloud.normal[:, number] for number, axis in enumerate("xyz")}
     columns |= {name: cloud.rgb[:, number] for number, name in enumerate(("red", "green", "blue"))}
@@ -146,4 +151,4 @@ def write_ply(path: Path, cloud: Cloud) -> None:
         vertices[name] = values
     properties = "".join(f"property {kinds[kind]} {name}\n" for name, kind in layout)
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(cloud)}\n{properties}end_header\n"
-    path.write_bytes(header.encode("ascii") + vertices.tobytes())
+    return header.encode("ascii") + vertices.tobytes()

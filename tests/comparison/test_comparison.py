@@ -22,6 +22,7 @@ from idrgbdo_torch.comparison import Comparison, External, Outcome, Source, comp
 from idrgbdo_torch.comparison.outcome import RESULTS, append_outcome, read_outcomes
 from idrgbdo_torch.comparison.table import tables, to_csv, to_json, to_markdown
 from idrgbdo_torch.errors import IdRgbdoError
+from idrgbdo_torch.trajectory import read_tum
 
 ROOT = Path(__file__).parents[2]
 MakeRecording = Callable[..., Path]
@@ -162,6 +163,10 @@ def test_the_documented_example_runs(
         (["--add", "nothing.py"], "nothing.py"),
         (["--external", "dvo"], "NAME=FILE"),
         (["--external", "dvo@there=x.txt"], "no sequence 'there'"),
+        (["--external", "../../evil=x.txt"], "a name that a folder can have"),
+        (["--external", "..=x.txt"], "a name that a folder can have"),
+        (["--external", "\x1b[31mred=x.txt"], "a name that a folder can have"),
+        (["--methods", "constant-velocity", "--external", "constant-velocity=x.txt"], "is the name of a method"),
         (["--methods", "constant-velocity", "--external", "dvo=missing.txt"], "missing.txt"),
     ],
 )
@@ -171,6 +176,44 @@ def test_mistakes_are_one_line(
     assert main(["compare", str(recording), "--out", str(tmp_path / "out"), *arguments]) == 1
     error = capsys.readouterr().err
     assert words in error and error.count("\n") == 1
+
+
+def test_results_of_other_frames_are_not_shown_with_the_poses_of_these(recording: Path, tmp_path: Path) -> None:
+    methods, out = {"keyframes": METHODS["keyframes"]}, tmp_path / "out"
+    ran: list[int] = []
+
+    def lengths(max_frames: int | None) -> tuple[int, int]:
+        ran.clear()
+        source = Source(recording, max_frames=max_frames)
+        found = compare(methods, [source], out, on_progress=lambda p: ran.append(p.frame)).outcomes[0]
+        return found.frames, len(read_tum(out / found.folder / "trajectory.txt"))
+
+    assert lengths(20) == (20, 20)
+    assert lengths(None) == (40, 40)
+    assert lengths(20) == (20, 20) and ran
+    assert lengths(20) == (20, 20) and not ran
+
+
+def test_the_results_of_an_edited_file_are_other_results(recording: Path, tmp_path: Path) -> None:
+    code = (ROOT / "docs" / "comparison.md").read_text().split("```python\n")[1].split("```")[0]
+    (tmp_path / "edited_later.py").write_text(code)
+    call = ["compare", str(recording), "--add", str(tmp_path / "edited_later.py"), "--methods", "mine"]
+    call += ["--out", str(tmp_path / "out"), "--max-frames", "3"]
+    for expected in (1, 1):
+        assert main(call) == 0 and len(lines(tmp_path / "out")) == expected
+    (tmp_path / "edited_later.py").write_text(code + "\n# edited\n")
+    assert main(call) == 0 and len(lines(tmp_path / "out")) == 2
+
+
+@pytest.mark.parametrize("code", ["METHODS = {", "import nothing_of_this_name", "METHODS = 3", "x = 1 / 'a'"])
+def test_a_file_that_cannot_be_imported_is_one_line(
+    code: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "broken_methods.py"
+    path.write_text(code + "\n")
+    assert main(["compare", "x", "--add", str(path)]) == 1
+    error = capsys.readouterr().err
+    assert str(path) in error and error.count("\n") == 1
 
 
 def test_the_methods_can_be_listed(capsys: pytest.CaptureFixture[str]) -> None:

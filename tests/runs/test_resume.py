@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
-import torch
 from rendered import Film
 
 from idrgbdo_torch.commands.cli import main
@@ -29,20 +33,30 @@ FRAMES, KILLED_AT = 30, 18
 # the command in a process of its own; it writes a checkpoint after every tenth frame and kills itself
 KILLED = f"""
 import os, signal, sys
-from idrgbdo_torch.runs import checkpoint
+from idrgbdo_torch.commands import track
 from idrgbdo_torch.commands.cli import main
+from idrgbdo_torch.runs import checkpoint
 
 class Often(checkpoint.Checkpoints):
-    def offer(self, state):
+    def offer(self, state, now=False):
         if len(state.records) % 10 == 0:
             self.write(state)
         if len(state.records) == {KILLED_AT}:
             os.kill(os.getpid(), signal.SIGKILL)
 
-from idrgbdo_torch.commands import track
 track.Checkpoints = Often
 main(sys.argv[1:])
 """
+
+
+def command(*arguments: str | Path) -> int:
+    """The command in a process of its own.
+
+    One that has compiled kernels itself may differ from one that found them compiled in the last bit of a sum.
+    """
+    done = subprocess.run([sys.executable, "-m", "idrgbdo_torch", *map(str, arguments)], capture_output=True)
+    assert b"Traceback" not in done.stderr, done.stderr.decode()
+    return done.returncode
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +71,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def killed_once(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run that was killed at frame 18, its last checkpoint after frame 10."""
     out = tmp_path_factory.mktemp("runs") / "killed"
+    assert command("run", recording, "--out", out.with_name("first")) == 0  # whoever is first compiles
     done = subprocess.run([sys.executable, "-c", KILLED, "run", str(recording), "--out", str(out)], capture_output=True)
     assert done.returncode == -signal.SIGKILL, done.stderr.decode()
     assert len(read_tum(out / "trajectory.txt")) == KILLED_AT
@@ -71,13 +86,11 @@ def killed(killed_once: Path, tmp_path: Path) -> Path:
 
 def test_a_killed_run_ends_as_if_nothing_had_happened(recording: Path, killed: Path, tmp_path: Path) -> None:
     whole = tmp_path / "whole"
-    assert main(["run", str(recording), "--out", str(whole)]) == 0
-    assert main(["run", str(recording), "--out", str(killed), "--resume"]) == 0
+    assert command("run", recording, "--out", whole) == 0
+    assert command("run", recording, "--out", killed, "--resume") == 0
     for name in ("trajectory.txt", "trajectory_refined.txt", "keyframes.txt"):
-        one, other = read_tum(whole / name), read_tum(killed / name)
-        torch.testing.assert_close(other.T_world_cam, one.T_world_cam, rtol=0, atol=1e-7)
-        assert other.timestamps.equal(one.timestamps)
-    assert (killed / "map.ply").stat().st_size == (whole / "map.ply").stat().st_size
+        assert (killed / name).read_bytes() == (whole / name).read_bytes(), name
+    assert (killed / "map.ply").read_bytes() == (whole / "map.ply").read_bytes()
     first, second = (json.loads((folder / "summary.json").read_text()) for folder in (whole, killed))
     assert second["frames"] == FRAMES
     errors = [summary["evaluation"]["ate_rmse_m"] for summary in (first, second)]
@@ -101,6 +114,8 @@ def test_what_was_found_out_before_is_not_done_again(
         (["--max-frames", "20"], "another frames (30, now 20)"),
         (["--every", "2"], "another frames (30, now 15)"),
         (["--camera", "CAMERA"], "another camera"),
+        (["--depth-scale", "1000"], "another depth_scale (None, now 1000.0)"),
+        (["--association-limit", "0.01"], "another association_limit (0.02, now 0.01)"),
     ],
 )
 def test_another_run_is_refused_in_one_line(
@@ -111,10 +126,46 @@ def test_another_run_is_refused_in_one_line(
     before = (killed / "trajectory.txt").read_bytes()
     flags = [str(camera) if flag == "CAMERA" else flag for flag in flags]
     assert main(["run", str(recording), "--out", str(killed), "--resume", *flags]) == 1
-    error = capsys.readouterr().err.strip()
-    assert what in error
-    assert len(error.splitlines()) == 1
+    errors = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("warning")]
+    assert len(errors) == 1 and what in errors[0] and errors[0].count("--resume") == 0
     assert (killed / "trajectory.txt").read_bytes() == before
+
+
+def edited_image(folder: Path) -> None:
+    image = min((folder / "depth").glob("*.png"))
+    cv2.imwrite(str(image), cv2.imread(str(image), cv2.IMREAD_UNCHANGED) + 1)
+
+
+def edited_list(folder: Path) -> None:
+    lines = (folder / "depth.txt").read_text().splitlines()
+    (folder / "depth.txt").write_text("\n".join([*lines[:-2], lines[-1], ""]))
+
+
+def other_pairs(folder: Path) -> None:
+    """The same times, some other images."""
+    lines = (folder / "depth.txt").read_text().splitlines()
+    stamps, names = zip(*(line.split() for line in lines if line[0] != "#"), strict=True)
+    swapped = [*names[:12], names[13], names[12], *names[14:]]
+    lines = [f"{stamp} {name}" for stamp, name in zip(stamps, swapped, strict=True)]
+    (folder / "depth.txt").write_text("\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize("edit", [edited_image, edited_list, other_pairs])
+def test_a_recording_that_was_edited_meanwhile_is_refused(
+    recording: Path, killed: Path, edit: Callable[[Path], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = shutil.copytree(recording, tmp_path / "copy" / recording.name)
+    edit(copy)
+    before = (killed / "trajectory.txt").read_bytes()
+    assert main(["run", str(copy), "--out", str(killed), "--resume"]) == 1
+    error = capsys.readouterr().err.strip()
+    assert "another" in error and len(error.splitlines()) == 1
+    assert (killed / "trajectory.txt").read_bytes() == before
+
+
+def test_where_the_recording_lies_does_not_matter(recording: Path, killed: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(recording, tmp_path / "elsewhere" / recording.name)
+    assert main(["run", str(copy), "--out", str(killed), "--resume"]) == 0
 
 
 def test_where_there_is_nothing_to_go_on_with_it_says_so(
@@ -138,11 +189,66 @@ def test_a_damaged_checkpoint_is_an_error(tmp_path: Path) -> None:
     assert isinstance(checkpoint.load(tmp_path, IDENTITY).odometry, IdRgbdo)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(IdRgbdoError, match=r"resume: .* cannot be read"):
+    with pytest.raises(IdRgbdoError, match=r"resume: .* is damaged"):
+        checkpoint.load(tmp_path, IDENTITY)
+    path.write_bytes(b"")
+    with pytest.raises(IdRgbdoError, match="cannot be read"):
         checkpoint.load(tmp_path, IDENTITY)
     path.write_bytes(b"not a checkpoint")
     with pytest.raises(IdRgbdoError, match="is no checkpoint"):
         checkpoint.load(tmp_path, IDENTITY)
+
+
+def sealed(path: Path, identity: Identity, tree: dict[str, object]) -> None:
+    """A checkpoint as somebody could make it who knows how."""
+    text = json.dumps({"identity": asdict(identity), **tree}).encode()
+    data = checkpoint.MAGIC + len(text).to_bytes(checkpoint.COUNT_BYTES, "big") + text
+    path.write_bytes(data + hashlib.sha256(data).digest())
+
+
+@pytest.mark.parametrize(
+    "node",
+    [
+        ["object", "Path", {"self": "/tmp"}],
+        ["object", "system", ["touch evil"]],
+        ["object", "Pinhole", {"fx": "x"}],
+        ["array", "object", [3], False],
+        ["array", "float64", [1 << 40, 1 << 40], False],
+        ["array", "float64", [-1], False],
+        ["list", [[5]]],
+        ["constant", "backend of evil"],
+        ["os.system", "touch evil"],
+        [],
+        7,
+    ],
+)
+def test_a_sealed_checkpoint_of_a_stranger_makes_nothing_but_known_types(tmp_path: Path, node: object) -> None:
+    sealed(tmp_path / checkpoint.NAME, IDENTITY, {"root": [1], "nodes": [node, ["list", [[0], [0], [0]]]]})
+    with pytest.raises(IdRgbdoError, match="resume: "):
+        checkpoint.load(tmp_path, IDENTITY)
+
+
+def test_a_flipped_bit_is_never_believed(killed: Path, recording: Path) -> None:
+    path = killed / checkpoint.NAME
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for position in [*rng.integers(0, len(whole), 24), 0, len(whole) - 1]:
+        flipped = bytearray(whole)
+        flipped[position] ^= 1 << int(rng.integers(8))
+        path.write_bytes(flipped)
+        with pytest.raises(IdRgbdoError, match="resume: "):
+            checkpoint.load(killed, IDENTITY)
+
+
+def test_what_is_not_in_the_table_is_not_written(tmp_path: Path) -> None:
+    with pytest.raises(IdRgbdoError, match="Path' is not among the types"):
+        Checkpoints(tmp_path, IDENTITY).write(State(IdRgbdo(), [], [tmp_path]))
+
+
+def test_where_a_checkpoint_does_not_fit_the_run_goes_on(tmp_path: Path) -> None:
+    checkpoints = Checkpoints(tmp_path / "gone", IDENTITY)
+    checkpoints.offer(State(IdRgbdo(), [], []), now=True)
+    assert "cannot write" in checkpoints.problem
 
 
 def test_another_version_is_refused(tmp_path: Path) -> None:
@@ -159,11 +265,12 @@ def test_writing_never_takes_more_than_a_small_share(tmp_path: Path, monkeypatch
     checkpoints = Checkpoints(tmp_path, IDENTITY)
     written: list[float] = []
 
-    def write(state: State, file: object, protocol: int) -> None:
+    def write(path: Path, state: State) -> None:
+        path.touch()
         written.append(clock[0])
         clock[0] += 0.2
 
-    monkeypatch.setattr(checkpoint.pickle, "dump", write)
+    monkeypatch.setattr(checkpoints, "_write", write)
     state = State(IdRgbdo(), [], [])
     for _ in range(2000):
         clock[0] += 0.01
@@ -186,8 +293,8 @@ def test_a_continued_run_starts_from_the_last_record(desk: Film) -> None:
 
 def test_ctrl_c_leaves_a_checkpoint(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "stopped"
-    command = [sys.executable, "-m", "idrgbdo_torch", "run", str(recording), "--out", str(out)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    words = [sys.executable, "-m", "idrgbdo_torch", "run", str(recording), "--out", str(out)]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     deadline = time.monotonic() + 120
     path = out / "trajectory.txt"
     while time.monotonic() < deadline and not (path.exists() and len(path.read_text().splitlines()) > 2):

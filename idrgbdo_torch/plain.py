@@ -1,0 +1,14 @@
+"""Text from outside, made fit for a terminal."""
+
+from __future__ import annotations
+
+
+def plain(value: object) -> str:
+    """Text from outside on one line, as it may go to a terminal: what cannot be printed is spelt out.
+
+    Names of files, keys of TOML files and answers of servers can hold sequences that move the cursor, turn the reading
+    direction or are no letters at all.
+    """
+    text = str(value).encode("utf-8", errors="backslashreplace").decode("utf-8")
+    hidden = {letter for letter in text if not letter.isprintable()}
+    return text.translate({ord(letter): letter.encode("unicode_escape").decode() for letter in hidden})

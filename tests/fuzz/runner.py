@@ -1,0 +1,73 @@
+"""Runs the attacks of seeds, one after the other; a new kind of attack is a function and a line of ATTACKS."""
+
+from __future__ import annotations
+
+import argparse
+import traceback
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from . import checkpoints, downloads, folders, kills
+from .promise import Attack, limits
+
+ATTACKS: Mapping[str, Attack] = {
+    "spoiled checkpoint": Attack(checkpoints.spoiled_checkpoint),
+    "sealed checkpoint": Attack(checkpoints.sealed_checkpoint),
+    "full disk": Attack(folders.full_disk),
+    "edited note": Attack(folders.edited_note),
+    "edited results": Attack(folders.edited_results),
+    "names": Attack(folders.names),
+    "answers": Attack(downloads.answers),
+    "archives": Attack(downloads.archives),
+    "killed": Attack(kills.killed, every=22, most_s=600),
+}
+
+
+def attack(seed: int, attacks: Mapping[str, Attack] = ATTACKS) -> tuple[str, str]:
+    """The name of the seed's attack, empty where it is left out; and what broke, empty where nothing did."""
+    turn, place = divmod(seed, len(attacks))
+    name = list(attacks)[place]
+    if turn % attacks[name].every:
+        return "", ""
+    with TemporaryDirectory() as folder:
+        try:
+            with limits(attacks[name].most_s):
+                attacks[name].run(np.random.default_rng(seed), Path(folder))
+        except BaseException as error:  # whatever it is, it is the finding
+            if isinstance(error, KeyboardInterrupt):
+                raise
+            return name, traceback.format_exc()
+    return name, ""
+
+
+def run(seeds: Iterable[int], attacks: Mapping[str, Attack] = ATTACKS) -> int:
+    """Run the attacks of all seeds, print what broke with the seed that repeats it, and how many were made."""
+    made: Counter[str] = Counter()
+    broken: Counter[str] = Counter()
+    for seed in seeds:
+        name, trouble = attack(seed, attacks)
+        made[name] += bool(name)
+        if trouble:
+            broken[name] += 1
+            print(f"seed {seed}, {name}: python -m tests.fuzz --seeds {seed}:{seed + 1}\n{trouble}", flush=True)
+    for name in attacks:
+        print(f"{name:<20}{made[name]:>7} made{broken[name]:>6} broken")
+    return 1 if broken else 0
+
+
+def main(arguments: list[str]) -> int:
+    """The exit status: 1 where anything broke."""
+    parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
+    parser.add_argument("--seeds", default="0:1000", help="first:last+1")
+    parser.add_argument("--only", default="", help="names of attacks, with commas between")
+    options = parser.parse_args(arguments)
+    first, last = (int(text) for text in options.seeds.split(":"))
+    seeds: Iterable[int] = range(first, last)
+    if options.only:
+        wanted = {list(ATTACKS).index(name.strip()) for name in options.only.split(",")}
+        seeds = (seed for seed in seeds if seed % len(ATTACKS) in wanted)
+    return run(seeds)
