@@ -34,7 +34,7 @@ class DoctorCommand:
 
 def doctor(command: DoctorCommand) -> int:
     """Show each group as soon as it is known; the exit status is 1 where something is not in order."""
-    groups = [versions, extras, machine, caches]
+    groups = [versions, extras, decoders, machine, caches]
     items: list[Item] = []
     for group in groups:
         found = group()
@@ -84,6 +84,14 @@ def extras() -> list[Item]:
             value = f'not installed; pip install "idrgbdo_torch[{extra}]"'
         items.append(Item(f"extra {extra}", value))
     return items
+
+
+def decoders() -> list[Item]:
+    """What reads the two common kinds of image file. One that is missing is no fault: OpenCV reads them, slower."""
+    return [
+        Item("decoding PNG", _decoder("deflate", "deflate", "libdeflate")),
+        Item("decoding JPEG", _decoder("simplejpeg", "simplejpeg", "libjpeg-turbo")),
+    ]
 
 
 def machine() -> list[Item]:
@@ -148,6 +156,13 @@ def _package(distribution: str, module: str) -> Item:
     except (metadata.PackageNotFoundError, ImportError, OSError) as error:
         return Item(distribution, f"cannot be imported: {error}", False, f"pip install {distribution}")
     return Item(distribution, version)
+
+
+def _decoder(distribution: str, module: str, library: str) -> str:
+    item = _package(distribution, module)
+    if item.good:
+        return f"{library}, by {distribution} {item.value}; OpenCV for unusual files"
+    return f"OpenCV; faster with {library}: {item.advice}"
 
 
 def _processor() -> str:

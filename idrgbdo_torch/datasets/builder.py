@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from .calibration import Calibration
 from .depth_scale import SATURATED
+from .pixels import gray_and_rgb, metres_of_16_bits
 from .rectify import Registration, Undistortion
 
 RawPair = tuple[NDArray[np.uint8], NDArray[Any]]  # (H, W, 3) blue green red, (h, w) raw depth, integers or float32
@@ -59,13 +59,13 @@ class FrameBuilder:
             color = self._undistortion.color(color)
             if self._registration is None:  # registered to the distorted colour image
                 depth_m = self._undistortion.depth(depth_m)
-        gray = cv2.cvtColor(color.astype(np.float32), cv2.COLOR_BGR2GRAY)  # ITU-R BT.601
+        gray, rgb = gray_and_rgb(color)
         return RgbdFrame(
             timestamp=timestamp,
             gray=torch.from_numpy(gray),  # (H, W)
             depth=torch.from_numpy(depth_m),  # (H, W) m
             camera=self.camera,
-            color=torch.from_numpy(cv2.cvtColor(color, cv2.COLOR_BGR2RGB)),  # (H, W, 3)
+            color=torch.from_numpy(rgb),  # (H, W, 3)
         )
 
     def frame_or_reason(self, timestamp: float, read: Callable[[], RawPair]) -> RgbdFrame | BrokenFrame:
@@ -78,6 +78,8 @@ class FrameBuilder:
 
 def metres(depth: NDArray[Any], depth_scale: float) -> NDArray[np.float32]:
     """(H, W) float32 metres, 0 where the raw depth is 0, saturated, negative or not finite."""
+    if depth.dtype == np.uint16:
+        return metres_of_16_bits(depth, depth_scale, SATURATED)
     if depth.dtype.kind in "iu":
         depth_m = np.asarray(depth / np.float32(depth_scale), dtype=np.float32)
         unknown = SATURATED if depth.max(initial=0) == SATURATED else np.iinfo(depth.dtype).max

@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 
 from ..errors import IdRgbdoError
 from .exr import read_exr
+from .jpeg import decode_jpeg
+from .png import SIGNATURE as PNG_SIGNATURE
+from .png import decode_png
 
 # what OpenCV reads, numpy's arrays, and EXR
 IMAGE_SUFFIXES = frozenset(
     (".png", ".jpg", ".jpeg", ".jpe", ".jp2", ".bmp", ".dib", ".tif", ".tiff", ".webp", ".avif", ".gif", ".pbm", ".pgm")
     + (".ppm", ".pnm", ".pxm", ".pam", ".pfm", ".sr", ".ras", ".hdr", ".pic", ".npy", ".npz", ".exr")
 )
-PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 JPEG_TAIL = 1024  # bytes in which the end marker must stand; some cameras pad
 
@@ -111,10 +113,16 @@ def _bytes(path: Path) -> bytes:
 
 
 def _decode(data: bytes, where: str, flags: int) -> NDArray[Any]:
+    color = flags != cv2.IMREAD_UNCHANGED
+    image = decode_png(data, color=color)  # looks for damage itself
+    if image is not None:
+        return image
     damage = _damage(data)
     if damage:
         raise IdRgbdoError(f"{where}: {damage}; copy or download it again")
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    image = decode_jpeg(data) if color else None
+    if image is None:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     if image is None:
         raise IdRgbdoError(f"{where}: expected an image that OpenCV can decode, got {len(data)} bytes; replace it")
     return np.asarray(image)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..definitions.camera import Pinhole
 from .calibration import Calibration
+from .reproject import interpolate_surfaces, reproject
 
 Image32 = NDArray[np.float32]
 SURFACE = 1.02  # ratio of neighbouring depths of one surface
@@ -50,6 +51,7 @@ class Registration:
         depth = calibration.depth
         T_color_depth = calibration.T_color_depth()
         self._camera = camera
+        self._intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
         self._K_depth = np.array([[depth.fx, 0, depth.cx], [0, depth.fy, depth.cy], [0, 0, 1]], dtype=np.float64)
         self._R, self._t = T_color_depth[:3, :3], T_color_depth[:3, 3].astype(np.float32)
         self._same_place = np.allclose(T_color_depth, np.eye(4), atol=1e-9)
@@ -57,7 +59,9 @@ class Registration:
         ratio = max(K_color[k, k] / self._K_depth[k, k] for k in (0, 1))
         self._enlarge = math.floor(ratio + 0.1) + 1  # so that the points lie less than a pixel apart
         self._coarse = ratio > 1.1
-        self._turned: Image32 | None = None  # made when the depth image's size is known
+        # made when the depth image's size is known
+        self._turned: Image32 | None = None
+        self._between: tuple[Image32, Image32] | None = None
         v, u = np.indices((camera.height, camera.width))
         H = self._K_depth @ np.linalg.inv(K_color)
         self._map_u = (H[0, 0] * u + H[0, 2]).astype(np.float32)
@@ -68,21 +72,16 @@ class Registration:
         if self._same_place:
             return sampled(image, self._map_u, self._map_v, smooth=self._coarse)
         larger = self._enlarged(image) if self._enlarge > 1 else image
-        c = self._camera
-        x, y, z = self._rays(larger.shape) * larger + self._t[:, None, None]  # (3, h, w) m, in the colour camera
-        seen = (larger > 0) & (z > 0)
-        x, y, z = x[seen], y[seen], z[seen]
-        u, v = np.rint(c.fx * x / z + c.cx), np.rint(c.fy * y / z + c.cy)
-        inside = (u >= 0) & (u < c.width) & (v >= 0) & (v < c.height)
-        nearest = np.full(c.height * c.width, np.inf, np.float32)
-        np.minimum.at(nearest, (v[inside] * c.width + u[inside]).astype(np.int64), z[inside])
-        return np.where(np.isfinite(nearest), nearest, np.float32(0)).reshape(c.height, c.width)
+        seen = np.zeros((self._camera.height, self._camera.width), np.float32)
+        reproject(np.ascontiguousarray(larger), self._rays(larger.shape), self._t, self._intrinsics, seen)
+        return seen
 
     def _enlarged(self, image: Image32) -> Image32:
-        v, u = (
-            np.indices((image.shape[0] * self._enlarge, image.shape[1] * self._enlarge)) + 0.5
-        ) / self._enlarge - 0.5
-        return sampled(image, u.astype(np.float32), v.astype(np.float32), smooth=self._coarse)
+        shape = (image.shape[0] * self._enlarge, image.shape[1] * self._enlarge)
+        if self._between is None or self._between[0].shape != shape:
+            v, u = (np.indices(shape) + 0.5) / self._enlarge - 0.5
+            self._between = u.astype(np.float32), v.astype(np.float32)
+        return sampled(image, *self._between, smooth=self._coarse)
 
     def _rays(self, shape: tuple[int, int]) -> Image32:
         """(3, h, w) points at depth 1 of the depth camera, enlarged to (h, w) pixels, turned as the colour camera."""
@@ -103,13 +102,6 @@ def sampled(depth: Image32, map_u: Image32, map_v: Image32, *, smooth: bool) -> 
     nearest = np.asarray(cv2.remap(depth, map_u, map_v, cv2.INTER_NEAREST), dtype=np.float32)
     if not smooth:
         return nearest
-    square = np.ones((2, 2), np.uint8)  # each pixel with those right of it and below
-    low, high = (
-        grow(depth, square, anchor=(0, 0), borderType=cv2.BORDER_REPLICATE) for grow in (cv2.erode, cv2.dilate)
-    )
-    one_surface = ((low > 0) & (high < SURFACE * low)).astype(np.uint8)
-    u, v = np.floor(map_u), np.floor(map_v)
-    inside = (u >= 0) & (v >= 0) & (u < depth.shape[1] - 1) & (v < depth.shape[0] - 1)
-    agree = cv2.remap(one_surface, u, v, cv2.INTER_NEAREST) > 0
-    between = cv2.remap(depth, map_u, map_v, cv2.INTER_LINEAR)
-    return np.where(inside & agree, between, nearest)
+    between = np.asarray(cv2.remap(depth, map_u, map_v, cv2.INTER_LINEAR), dtype=np.float32)
+    interpolate_surfaces(np.ascontiguousarray(depth), map_u, map_v, np.float32(SURFACE), between, nearest)
+    return nearest

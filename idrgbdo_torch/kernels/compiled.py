@@ -21,9 +21,17 @@ def kernel(function: Callable[..., Any]) -> Any:
 
     Where none of them can be written, every process compiles anew.
     """
-    function.__qualname__ = f"{function.__qualname__}_{SOURCES}"  # it names the files in the cache
     # nan and infinity keep their meaning, since failures are recognised by them; sums may be regrouped for SIMD
-    fastmath = {"contract", "reassoc", "arcp", "nsz"}
+    return _compiled(function, {"contract", "reassoc", "arcp", "nsz"})
+
+
+def exact_kernel(function: Callable[..., Any]) -> Any:
+    """As `kernel`, but every operation rounds as written: the same bits on every processor, and those of numpy."""
+    return _compiled(function, False)
+
+
+def _compiled(function: Callable[..., Any], fastmath: set[str] | bool) -> Any:
+    function.__qualname__ = f"{function.__qualname__}_{SOURCES}"  # it names the files in the cache
     # nothing calls them from C, and that wrapper is a tenth of the compilation
     options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "fastmath": fastmath}
     try:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -43,6 +45,16 @@ def test_a_missing_extra_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     item = next(item for item in doctor.extras() if item.name == "extra ros")
     assert item.good
     assert 'pip install "idrgbdo_torch[ros]"' in item.value
+
+
+def test_what_decodes_is_named_and_a_missing_library_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    png, jpeg = doctor.decoders()
+    assert png.value == f"libdeflate, by deflate {version('deflate')}; OpenCV for unusual files"
+    assert jpeg.value == f"libjpeg-turbo, by simplejpeg {version('simplejpeg')}; OpenCV for unusual files"
+    monkeypatch.setitem(sys.modules, "deflate", None)
+    png, _ = doctor.decoders()
+    assert png.good
+    assert png.value == "OpenCV; faster with libdeflate: pip install deflate"
 
 
 def test_bad_tracking_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
