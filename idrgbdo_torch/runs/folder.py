@@ -21,6 +21,7 @@ from ..odometry import Odometry, Record, Run, Status
 from ..tracker.inspection import Inspectable
 from ..tracker.mapping import write_ply
 from ..trajectory import TUM_HEADER, Trajectory, nearest, read_tum, tum_line, write_tum
+from . import certainty
 
 DEGREES_OF_FREEDOM = ("vx", "vy", "vz", "wx", "wy", "wz")
 UPPER = [(row, column) for row in range(6) for column in range(row, 6)]
@@ -29,6 +30,7 @@ COLUMNS = (
     *("decode_ms", "ms"),
     *(f"entropy_{name}_bits" for name in DEGREES_OF_FREEDOM),
     *(f"information_{DEGREES_OF_FREEDOM[row]}_{DEGREES_OF_FREEDOM[column]}" for row, column in UPPER),
+    *certainty.COLUMNS,
 )
 OWN_FILES = ("trajectory.txt", "trajectory_refined.txt", "keyframes.txt", "frames.csv", "config.toml", "summary.json")
 
@@ -42,6 +44,7 @@ class RunFolder:
         Raises IdRgbdoError where the folder cannot be written.
         """
         self.path = path
+        self._certainty = certainty.Certainty()
         try:
             path.mkdir(parents=True, exist_ok=True)
             for name in (*OWN_FILES, "map.ply", "mesh.ply"):
@@ -72,7 +75,7 @@ class RunFolder:
         _append(self._trajectory, line)
         if record.result.keyframe:
             _append(self._keyframes, line)
-        self._rows.writerow(_row(record))
+        self._rows.writerow([*_row(record), *self._certainty.cells(record)])
         self._frames.flush()
 
     def finish(
@@ -208,7 +211,7 @@ def _append(file: IO[str], line: str) -> None:
 
 
 def _row(record: Record) -> list[str]:
-    """The cells of frames.csv in the order of COLUMNS; empty where there is no value."""
+    """The first cells of frames.csv in the order of COLUMNS; empty where there is no value."""
     result = record.result
     information = result.information
     entropy = [f"{bits:.4f}" for bits in result.entropy_bits] or [""] * 6

@@ -16,7 +16,6 @@ from idrgbdo_torch.definitions.camera import Pinhole, project
 from idrgbdo_torch.frame import Keyframe, RgbdFrame, prepare
 from idrgbdo_torch.kernels import selection as choice
 from idrgbdo_torch.measurement import kernel_noise
-from idrgbdo_torch.open3d_loader import load_open3d
 from idrgbdo_torch.tracker.backends import backend_named
 from idrgbdo_torch.tracker.keyframe import make_keyframe
 from idrgbdo_torch.tracker.mapping import (
@@ -28,6 +27,7 @@ from idrgbdo_torch.tracker.mapping import (
     world_cloud,
     write_ply,
 )
+from idrgbdo_torch.tracker.open3d_loader import load_open3d
 from idrgbdo_torch.tracker.selection import point_bits
 
 FUSED = backend_named("fused")
