@@ -99,7 +99,7 @@ def _with_images(
     from ..report.terminal import progress_bar
     from ..tracker.mapping import write_ply
 
-    cloud, host = points.of_frames(run, points.read_map(run.folder), chosen.frames)
+    cloud, host = points.of_frames(run, points.read_map(run.folder, chosen.segment), chosen.frames)
     if to != "nerfstudio":  # the keyframes have the points
         frames = sorted({*frames, *np.unique(host[host >= 0]).tolist()})
     with progress_bar(to, len(frames)) as advance:
@@ -128,7 +128,7 @@ def _poses(run: TrackedRun, chosen: Chosen, frames: Sequence[int], to: str, out:
     elif to == "evo":
         names = trajectories.write_evo(out, run, frames, _reference(run))
     else:
-        cloud, _ = points.of_frames(run, points.read_map(run.folder), chosen.frames)
+        cloud, _ = points.of_frames(run, points.read_map(run.folder, chosen.segment), chosen.frames)
         names = trajectories.write_clouds(out, run, frames, cloud)
     return [("files", ", ".join(names))]
 

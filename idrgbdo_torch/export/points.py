@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from ..definitions.camera import Pinhole
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame
-from ..tracker.mapping import NOWHERE, Cloud
+from ..runs.folder import map_name
+from ..tracker.mapping import Cloud
 from .images import gray8
 from .tracked import Read, TrackedRun
 
@@ -29,7 +30,7 @@ SAME_SURFACE = 0.03  # relative difference in depth up to which a point is not h
 BACK = 0.5  # px by which finding it there and back again may miss
 NEAR = 4.0  # px between where it is found and where the poses put it; farther is another place
 CORNER = 1e-3  # least eigenvalue of a patch's gradients, in OpenCV's measure: along an edge a patch slides
-DTYPES = {"float": "<f4", "uchar": "u1", "int": "<i4"}
+DTYPES = {"float": "<f4", "uchar": "u1", "double": "<f8"}
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,9 @@ class Observations:
     uv: Array  # (M, 2) px; (0, 0) is the centre of the top-left pixel
 
 
-def read_map(folder: Path) -> Cloud:
-    """The points of a run's map.ply with the keyframes that have them. Raises IdRgbdoError where there are none."""
-    path = folder / "map.ply"
+def read_map(folder: Path, segment: int) -> Cloud:
+    """The points of a run's map with the keyframes that have them. Raises IdRgbdoError where there are none."""
+    path = folder / map_name(segment)
     try:
         head, _, body = path.read_bytes().partition(b"end_header\n")
         lines = [line.split() for line in head.decode("ascii").splitlines()]
@@ -52,13 +53,13 @@ def read_map(folder: Path) -> Cloud:
         values = np.frombuffer(body, np.dtype(layout), count)
         xyz, rgb, normal, origin = (
             np.column_stack([values[name] for name in names])
-            for names in (("x", "y", "z"), ("red", "green", "blue"), ("nx", "ny", "nz"), ("keyframe", "u", "v"))
+            for names in (("x", "y", "z"), ("red", "green", "blue"), ("nx", "ny", "nz"), ("time", "u", "v"))
         )
     except OSError as error:
         raise IdRgbdoError(f"run: cannot read '{path}': {error.strerror}; run again with --map points") from error
     except (ValueError, KeyError, IndexError, StopIteration) as error:
         raise IdRgbdoError(f"run: '{path}' does not say where its points were seen ({error}); run again") from error
-    return Cloud(xyz, rgb, normal, origin.astype(np.float32))
+    return Cloud(xyz, rgb, normal, origin.astype(np.float64))
 
 
 def of_frames(run: TrackedRun, cloud: Cloud, frames: Sequence[int]) -> tuple[Cloud, Index]:
@@ -66,17 +67,12 @@ def of_frames(run: TrackedRun, cloud: Cloud, frames: Sequence[int]) -> tuple[Clo
 
     The number is -1 for a merged point, which no single frame has.
     """
-    keyframes = run.keyframes
-    number = cloud.origins()[:, 0].astype(np.int64)
-    if len(number) and number.max() >= len(keyframes):
-        raise IdRgbdoError(
-            f"run: '{run.folder}' has {len(keyframes)} keyframes, but a point of its map is of number {number.max()}; "
-            "run again"
-        )
-    frame = np.where(number == int(NOWHERE), -1, np.array([*keyframes, -1], np.int64)[number])
-    keep = np.isin(frame, frames) | (frame < 0)
-    origin = cloud.origins()[keep]
-    return Cloud(cloud.xyz[keep], cloud.rgb[keep], cloud.normal[keep], origin), frame[keep]
+    origin = cloud.origins()
+    frame = np.full(len(cloud), -1, np.int64)
+    known = ~np.isnan(origin[:, 0])
+    frame[known] = run.frames_at(origin[known, 0])
+    keep = np.isin(frame, frames) | ~known
+    return Cloud(cloud.xyz[keep], cloud.rgb[keep], cloud.normal[keep], origin[keep]), frame[keep]
 
 
 def project(camera: Pinhole, xyz: Array, T_world_cam: Array) -> tuple[Array, Array]:
@@ -99,7 +95,7 @@ def observe(run: TrackedRun, cloud: Cloud, host: Index, camera: Pinhole, read: R
         return None if isinstance(frame, BrokenFrame) else (gray8(frame), frame.depth.numpy())
 
     hosts = np.unique(host[host >= 0]).tolist()
-    xyz, pixel = cloud.xyz.astype(np.float64), cloud.origins()[:, 1:]
+    xyz, pixel = cloud.xyz.astype(np.float64), cloud.origins()[:, 1:].astype(np.float32)
     found: list[tuple[Index, int, Array]] = []
     for place, number in enumerate(hosts):
         mine, image = np.flatnonzero(host == number), view(number)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from ..odometry import Status
+from ..tracker.results import joined
 from ..trajectory import Trajectory, nearest, read_tum
 
 Array = NDArray[np.float64]
@@ -30,12 +31,18 @@ class TrackedRun:
     folder: Path
     rows: tuple[dict[str, str], ...]  # of frames.csv
     times: Array  # (N,) s
-    T_world_cam: Array  # (N, 4, 4), refined where the run refined them
+    T_world_cam: Array  # (N, 4, 4), refined where the run refined them; nan for a frame that could not be read
+    segments: NDArray[np.int64]  # (N,) those that joined an earlier one have its number
 
-    @property
-    def keyframes(self) -> list[int]:
-        """Numbers of the frames that became keyframes, in the order in which map.ply counts them."""
-        return [number for number, row in enumerate(self.rows) if row["keyframe"] == "1"]
+    def frames_at(self, times: Array) -> NDArray[np.int64]:
+        """(M,) numbers of the frames at times (M,) s. Raises IdRgbdoError where there is none."""
+        place = nearest(torch.from_numpy(self.times), torch.from_numpy(times)).numpy()
+        off = np.abs(self.times[place] - times)
+        if len(off) and off.max() > SAME_TIME_S:
+            raise IdRgbdoError(
+                f"run: '{self.folder}' has no frame at {times[off.argmax()]:.6f} s, where its map has points; run again"
+            )
+        return np.asarray(place)
 
     def trajectory(self, frames: Sequence[int]) -> Trajectory:
         """The poses of some frames."""
@@ -64,19 +71,27 @@ def load_run(folder: Path, refined: bool = True) -> TrackedRun:
             rows = tuple(csv.DictReader(file))
         times = np.array([float(row["timestamp"]) for row in rows])
         for row in rows:
-            Status(row["status"]), int(row["segment"]), row["keyframe"]
+            Status(row["status"]), int(row["segment"]), row["keyframe"], row["reason"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise IdRgbdoError(f"run: cannot read '{folder / 'frames.csv'}' ({error}); pass the folder of a run") from error
-    hindsight, causal = folder / "trajectory_refined.txt", folder / "trajectory.txt"
-    trajectory = read_tum(hindsight if refined and hindsight.exists() else causal)
+    hindsight = refined and (folder / "trajectory_refined.txt").exists()
+    trajectory = read_tum(folder / ("trajectory_refined.txt" if hindsight else "trajectory.txt"))
     place = nearest(trajectory.timestamps, torch.from_numpy(times))
-    if len(trajectory) != len(times) or bool(
-        ((trajectory.timestamps[place] - torch.from_numpy(times)).abs() > SAME_TIME_S).any()
-    ):
-        raise IdRgbdoError(
-            f"run: '{folder}' has {len(times)} frames and {len(trajectory)} poses, expected one a frame; run again"
-        )
-    return TrackedRun(folder, rows, times, trajectory.T_world_cam[place].numpy())
+    T_world_cam = trajectory.T_world_cam[place].numpy()
+    T_world_cam[((trajectory.timestamps[place] - torch.from_numpy(times)).abs() > SAME_TIME_S).numpy()] = np.nan
+    if any(np.isnan(T[0, 0]) and row["status"] != Status.LOST.value for T, row in zip(T_world_cam, rows, strict=True)):
+        raise IdRgbdoError(f"run: '{folder}' has frames without a pose that were not lost; run again")
+    return TrackedRun(folder, rows, times, T_world_cam, _segments(rows, hindsight))
+
+
+def _segments(rows: Sequence[dict[str, str]], hindsight: bool) -> NDArray[np.int64]:
+    """(N,) segment of every frame. A segment that joined another moved to it: only poses of hindsight know that."""
+    segments = np.array([int(row["segment"]) for row in rows], np.int64)
+    for number, row in enumerate(rows if hindsight else ()):
+        if pair := joined(row["reason"]):
+            so_far = segments[:number]  # a later one may get the number that is free again
+            so_far[so_far == pair[0]] = pair[1]
+    return segments
 
 
 @dataclass(frozen=True)
@@ -84,6 +99,7 @@ class Chosen:
     """The frames to hand on, and why others are not among them."""
 
     frames: tuple[int, ...]  # numbers
+    segment: int
     left_out: dict[str, int]  # how many, by reason
 
 
@@ -95,27 +111,19 @@ def trusted(run: TrackedRun, weak: bool = False) -> Chosen:
     Raises IdRgbdoError where there is none.
     """
     believed = (Status.OK.value, Status.WEAK.value) if weak else (Status.OK.value,)
-    segments = np.array([int(row["segment"]) for row in run.rows])
-    first = {int(segment): int(np.flatnonzero(segments == segment)[0]) for segment in np.unique(segments)}
-    good = np.array(
-        [
-            row["status"] in believed or (row["keyframe"] == "1" and number == first[int(row["segment"])])
-            for number, row in enumerate(run.rows)
-        ]
-    )
+    good = np.zeros(len(run.rows), np.bool_)
+    for number, row in enumerate(run.rows):
+        begins = row["status"] == Status.LOST.value and row["keyframe"] == "1"
+        good[number] = (row["status"] in believed or begins) and not np.isnan(run.T_world_cam[number, 0, 0])
     if not good.any():
         raise IdRgbdoError(f"run: no frame of '{run.folder}' has a pose that can be believed; see its report.html")
-    counts = {segment: int((good & (segments == segment)).sum()) for segment in first}
-    largest = max(counts, key=lambda segment: counts[segment])
-    left_out = {
-        f"{status.value}": sum(
-            row["status"] == status.value and not good[number] for number, row in enumerate(run.rows)
-        )
-        for status in (Status.LOST, Status.WEAK)
-    }
-    left_out["in another segment"] = int(good.sum()) - counts[largest]
-    frames = np.flatnonzero(good & (segments == largest)).tolist()
-    return Chosen(tuple(frames), {reason: count for reason, count in left_out.items() if count})
+    counts = np.bincount(run.segments[good])
+    largest = int(counts.argmax())
+    rest = [row["status"] for row, taken in zip(run.rows, good, strict=True) if not taken]
+    left_out = {status.value: rest.count(status.value) for status in (Status.LOST, Status.WEAK)}
+    left_out["in another segment"] = int(counts.sum() - counts[largest])
+    frames = np.flatnonzero(good & (run.segments == largest)).tolist()
+    return Chosen(tuple(frames), largest, {reason: count for reason, count in left_out.items() if count})
 
 
 def thinned(frames: Sequence[int], every: int, read: Read | None = None) -> list[int]:

@@ -58,10 +58,6 @@ class Certainty:
             own = inverted(result.information.numpy())
             Ad = adjoint(inverse(result.T_ref_cam)).numpy()
             found = None if own is None else own + Ad @ self._known[reference] @ Ad.T
-        if result.keyframe:
-            self._known = {}  # nothing is measured against the ones before any more
-        elif reference in self._known:
-            self._known = {reference: self._known[reference]}
         if found is not None:
             self._known[record.timestamp] = found
         return found
@@ -72,7 +68,7 @@ class Certainty:
             return None
         time, before = self._before
         result, dt = record.result, record.timestamp - time
-        if Status.LOST in (result.status, before.status) or dt <= 0:
+        if Status.LOST in (result.status, before.status) or result.segment != before.segment or dt <= 0:
             return None
         return np.asarray(log(inverse(before.T_world_cam) @ result.T_world_cam).numpy() / dt)
 

@@ -95,11 +95,15 @@ class RunFolder:
                 (self.path / "keyframes.part").replace(self.path / "keyframes.txt")
         if with_map and isinstance(odometry, Inspectable):
             for segment, cloud in odometry.maps().items():
-                name = f"map_segment_{segment}.ply" if segment else "map.ply"
-                write_ply(self.path / name, cloud)
+                write_ply(self.path / map_name(segment), cloud)
         summary = summarise(run, evaluation)
         (self.path / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
         return summary
+
+
+def map_name(segment: int) -> str:
+    """The file of a segment's points; the first one's is the map."""
+    return f"map_segment_{segment}.ply" if segment else "map.ply"
 
 
 def believable(trajectory: Trajectory, run: Run) -> Trajectory:

@@ -16,11 +16,10 @@ from .open3d_loader import load_open3d
 
 Array = NDArray[np.float64]
 
-LIMIT = 1_000_000  # points kept, 39 bytes each
+LIMIT = 1_000_000  # points kept, 51 bytes each
 FIRST_VOXEL = 0.005  # m, side of the cubes in which points are merged once there are more; doubled as often as needed
 REACH = 3  # px between a point and the neighbours that its normal is taken from
 SMOOTH = 0.05  # relative difference in depth above which a neighbour belongs to another surface
-NOWHERE = -1.0  # as the origin of a point that was merged of several
 
 
 @dataclass(frozen=True)
@@ -30,14 +29,14 @@ class Cloud:
     xyz: NDArray[np.float32]  # (N, 3) m
     rgb: NDArray[np.uint8]  # (N, 3)
     normal: NDArray[np.float32]  # (N, 3) of unit length, towards the camera; 0 where unknown
-    origin: NDArray[np.float32] | None = None  # (N, 3) number of the keyframe that has it, and its px there, or NOWHERE
+    origin: Array | None = None  # (N, 3) time (s) of the keyframe that has it, and its px there; nan where unknown
 
     def __len__(self) -> int:
         return len(self.xyz)
 
-    def origins(self) -> NDArray[np.float32]:
-        """The same, NOWHERE for every point where nothing was said."""
-        return np.full((len(self), 3), NOWHERE, np.float32) if self.origin is None else self.origin
+    def origins(self) -> Array:
+        """The same, nan for every point where nothing was said."""
+        return np.full((len(self), 3), np.nan) if self.origin is None else self.origin
 
 
 NOTHING = Cloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.float32))
@@ -60,7 +59,7 @@ def keyframe_cloud(keyframe: Keyframe) -> Cloud:
     else:
         rgb = np.repeat(keyframe.frame.images[0][row, column, None].clip(0, 255), 3, axis=1)
     normal = surface_normals(keyframe.frame.depth, camera, row, column)
-    origin = np.column_stack([np.zeros(len(uv)), uv]).astype(np.float32)
+    origin = np.column_stack([np.full(len(uv), keyframe.frame.timestamp), uv])
     return Cloud(np.column_stack([x, y, depth]).astype(np.float32), rgb.astype(np.uint8), normal, origin)
 
 
@@ -87,14 +86,12 @@ def surface_normals(
 
 
 def world_cloud(clouds: Sequence[Cloud], T_kf_world: Sequence[Array]) -> Cloud:
-    """All keyframes' clouds (each in its own coordinates) as one in the world, in their order."""
-    xyz, normal, origin = [NOTHING.xyz], [NOTHING.normal], [NOTHING.origins()]
-    for number, (cloud, T) in enumerate(zip(clouds, T_kf_world, strict=True)):
+    """All keyframes' clouds (each in its own coordinates) as one in the world."""
+    xyz, normal = [NOTHING.xyz], [NOTHING.normal]
+    for cloud, T in zip(clouds, T_kf_world, strict=True):
         xyz.append(((cloud.xyz - T[:3, 3]) @ T[:3, :3]).astype(np.float32))  # R^T (P - t)
         normal.append((cloud.normal @ T[:3, :3]).astype(np.float32))
-        own = cloud.origins().copy()
-        own[own[:, 0] != NOWHERE, 0] = number
-        origin.append(own)
+    origin = [NOTHING.origins(), *(cloud.origins() for cloud in clouds)]
     rgb = [NOTHING.rgb, *(cloud.rgb for cloud in clouds)]
     return Cloud(np.concatenate(xyz), np.concatenate(rgb), np.concatenate(normal), np.concatenate(origin))
 
@@ -145,13 +142,14 @@ def merge_in_voxels(cloud: Cloud, size: float) -> Cloud:
 
 
 def write_ply(path: Path, cloud: Cloud) -> None:
-    """A binary PLY point cloud: colours, normals (0, 0, 0 where unknown), and where known the keyframe and its px."""
+    """A binary PLY point cloud: colours, normals (0, 0, 0 where unknown), and where known keyframes' times and px."""
     columns: dict[str, NDArray[Any]] = {"x": cloud.xyz[:, 0], "y": cloud.xyz[:, 1], "z": cloud.xyz[:, 2]}
     columns |= {f"n{axis}": cloud.normal[:, number] for number, axis in enumerate("xyz")}
     columns |= {name: cloud.rgb[:, number] for number, name in enumerate(("red", "green", "blue"))}
     if cloud.origin is not None:
-        columns |= {"keyframe": cloud.origin[:, 0].astype(np.int32), "u": cloud.origin[:, 1], "v": cloud.origin[:, 2]}
-    kinds = {"f4": "float", "u1": "uchar", "i4": "int"}
+        u, v = cloud.origin[:, 1:].T.astype(np.float32)
+        columns |= {"time": cloud.origin[:, 0], "u": u, "v": v}
+    kinds = {"f4": "float", "u1": "uchar", "f8": "double"}
     layout = [(name, values.dtype.str[1:]) for name, values in columns.items()]
     vertices = np.empty(len(cloud), dtype=[(name, f"<{kind}") for name, kind in layout])
     for name, values in columns.items():

@@ -16,6 +16,7 @@ from idrgbdo_torch.commands.cli import main
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.export.tracked import load_run, thinned, trusted
 from idrgbdo_torch.frame import BrokenFrame, RgbdFrame
+from idrgbdo_torch.tracker.results import joined, joins
 from idrgbdo_torch.trajectory import read_tum
 
 Statuses = dict[int, tuple[str, str]]  # by frame: status, segment
@@ -52,13 +53,44 @@ def test_lost_and_weak_frames_are_left_out_and_counted(
 
 
 def test_only_the_largest_segment_is_taken(tracked: Path, tmp_path: Path) -> None:
-    keyframe = load_run(tracked).keyframes[2]
+    keyframe = [number for number, row in enumerate(load_run(tracked).rows) if row["keyframe"] == "1"][2]
     after = {number: ("ok", "1") for number in range(keyframe + 1, 40)}
     run = load_run(edited(tracked, tmp_path / "run", {keyframe: ("lost", "1"), **after}))
     chosen = trusted(run)
     parts = {0: tuple(range(keyframe)), 1: tuple(range(keyframe, 40))}  # a segment's first frame is where it begins
     assert chosen.frames == max(parts.values(), key=len)
     assert chosen.left_out["in another segment"] == min(map(len, parts.values()))
+
+
+def test_segments_that_joined_are_one(tracked: Path, tmp_path: Path) -> None:
+    """Numbers are given again: the second segment 1 is another one."""
+    assert joined(joins(12, 3, 0.1)) == (12, 3) and joined("found again in the keyframe of 1.000 s") is None
+    spans = {(12, 20): "1", (20, 22): "0", (22, 30): "1", (30, 40): "1"}
+    segments = {n: ("ok", segment) for (first, last), segment in spans.items() for n in range(first, last)}
+    folder = edited(tracked, tmp_path / "run", segments)
+    lines = (folder / "frames.csv").read_text().splitlines()
+    cells = lines[21].split(",")
+    cells[1:3] = ["weak", f'"{joins(1, 0, 0.1)}"']
+    lines[21] = ",".join(cells)
+    (folder / "frames.csv").write_text("\n".join(lines) + "\n")
+    assert load_run(folder).segments.tolist() == [0] * 22 + [1] * 18
+    chosen = trusted(load_run(folder))
+    assert (chosen.segment, chosen.frames) == (0, (*range(20), 21))
+    assert chosen.left_out == {"weak": 1, "in another segment": 18}
+    assert load_run(folder, refined=False).segments.tolist() == [0] * 12 + [1] * 8 + [0] * 2 + [1] * 18
+
+
+def test_a_frame_that_could_not_be_read_has_no_pose(tracked: Path, tmp_path: Path) -> None:
+    """Odometries never see such a frame, so that the refined poses lack it."""
+    folder = edited(tracked, tmp_path / "run", {5: ("lost", "0")})
+    lines = (folder / "trajectory_refined.txt").read_text().splitlines(keepends=True)
+    (folder / "trajectory_refined.txt").write_text("".join(lines[:6] + lines[7:]))
+    run = load_run(folder)
+    assert np.isnan(run.T_world_cam[5]).all() and not np.isnan(np.delete(run.T_world_cam, 5, axis=0)).any()
+    assert 5 not in trusted(run).frames
+    (folder / "frames.csv").write_bytes((tracked / "frames.csv").read_bytes())
+    with pytest.raises(IdRgbdoError, match="frames without a pose that were not lost"):
+        load_run(folder)
 
 
 def test_a_run_without_any_pose_is_an_error(tracked: Path, tmp_path: Path) -> None:

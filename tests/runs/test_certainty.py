@@ -96,6 +96,21 @@ def test_a_velocity_is_in_the_cameras_own_axes() -> None:
     assert [float(rows[3][name]) for name in names] == pytest.approx((STEPS[2] / 0.5).tolist(), abs=1e-7)
 
 
+def test_a_jump_to_another_segment_is_no_velocity() -> None:
+    records = chain()
+    records[2] = replace(records[2], result=replace(records[2].result, segment=1))
+    rows = cells(records)
+    assert rows[1]["velocity_vx"] and rows[2]["velocity_vx"] == rows[3]["velocity_vx"] == ""
+
+
+def test_a_frame_found_again_in_an_old_keyframe_is_as_certain_as_that_one() -> None:
+    records = chain()
+    T_ref_cam = exp(STEPS[1])
+    again = record(4.0, records[1].result.T_world_cam @ T_ref_cam, T_ref_cam, 1.0)
+    rows = cells([*records, again])
+    np.testing.assert_allclose(covariance(rows[4]), covariance(rows[2]), rtol=1e-6)
+
+
 def test_a_direction_that_nothing_measures_has_no_covariance() -> None:
     assert inverted(np.diag([1.0, 1, 1, 1, 1, 0])) is None
     np.testing.assert_allclose(inverted(np.diag([4.0, 1, 1, 1, 1, 2])), np.diag([0.25, 1, 1, 1, 1, 0.5]))

@@ -77,6 +77,8 @@ def test_a_keyframes_points_project_to_where_they_were_seen_in_their_colour() ->
     assert valid.all()
     np.testing.assert_allclose(uv.numpy(), keyframe.points.uv, atol=1e-3)
     np.testing.assert_allclose(cloud.xyz[:, 2], 2.0, atol=1e-5)
+    np.testing.assert_array_equal(cloud.origins()[:, 1:], keyframe.points.uv)
+    assert (cloud.origins()[:, 0] == keyframe.frame.timestamp).all()
     column, row = keyframe.points.uv.astype(int).T
     assert keyframe.frame.color is not None
     np.testing.assert_array_equal(cloud.rgb, keyframe.frame.color.numpy()[row, column])
