@@ -10,7 +10,7 @@ from torch import Tensor
 
 from idrgbdo_torch.frame import RgbdFrame
 from idrgbdo_torch.odometry import FrameToFrame
-from idrgbdo_torch.open3d_loader import load_open3d
+from idrgbdo_torch.tracker.open3d_loader import load_open3d
 
 from .checked import Raw, checked
 

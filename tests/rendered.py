@@ -10,9 +10,9 @@ from torch import Tensor
 
 from idrgbdo_torch.definitions.se3 import inverse
 from idrgbdo_torch.frame import RgbdFrame
-from idrgbdo_torch.open3d_loader import load_open3d
 from idrgbdo_torch.synthetic import RenderedSequence, SynthConfig
 from idrgbdo_torch.synthetic.world import World
+from idrgbdo_torch.tracker.open3d_loader import load_open3d
 from idrgbdo_torch.trajectory import Trajectory
 
 SMALL = SynthConfig(kind="desk", frames=40, width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5)

@@ -26,6 +26,7 @@ FLOORS = (
     {"datasets", "synthetic", "download"},
     {"runs"},
     {"comparison"},
+    {"export"},
     {"report"},
     {"check"},
     {"experiments"},

@@ -24,6 +24,7 @@ from .doctor import DoctorCommand, doctor
 from .download import DownloadCommand, download
 from .evaluate import EvaluateCommand, evaluate
 from .experiment import ExperimentCommand, experiment
+from .export import ExportCommand, export
 from .live import LiveCommand, live
 from .mesh import MeshCommand, mesh
 from .run import RunCommand, run
@@ -36,12 +37,13 @@ First look: `idrgbdo demo`. A recording: `idrgbdo run FOLDER`."""
 
 Command = (
     RunCommand | LiveCommand | CheckCommand | MeshCommand | VideoCommand | EvaluateCommand | SynthCommand | DemoCommand
-    | CompareCommand | DownloadCommand | DoctorCommand | ExperimentCommand
+    | CompareCommand | DownloadCommand | DoctorCommand | ExperimentCommand | ExportCommand
 )  # fmt: skip
 ACTIONS: dict[type, Callable[..., int]] = {
     RunCommand: run, LiveCommand: live, CheckCommand: check, MeshCommand: mesh, VideoCommand: video,
     EvaluateCommand: evaluate, SynthCommand: synth, DemoCommand: demo, CompareCommand: compare,
     DownloadCommand: download, DoctorCommand: doctor, ExperimentCommand: experiment,
+    ExportCommand: export,
 }  # fmt: skip
 
 
@@ -83,6 +85,7 @@ def parse(argv: list[str]) -> Command:
         | Annotated[CheckCommand, subcommand("check")]
         | Annotated[MeshCommand, subcommand("mesh")]
         | Annotated[VideoCommand, subcommand("video", default=VideoCommand(tyro.MISSING, settings))]
+        | Annotated[ExportCommand, subcommand("export")]
         | Annotated[EvaluateCommand, subcommand("evaluate")]
         | Annotated[SynthCommand, subcommand("synth")]
         | Annotated[DemoCommand, subcommand("demo", default=DemoCommand(settings))]

@@ -13,8 +13,8 @@ from time import perf_counter
 
 from .. import __version__
 from ..errors import IdRgbdoError
-from ..open3d_loader import load_open3d
 from ..synthetic.config import SynthConfig
+from ..tracker.open3d_loader import load_open3d
 
 NEEDED = {  # distribution: module
     "torch": "torch", "numpy": "numpy", "opencv-python-headless": "cv2", "numba": "numba", "scipy": "scipy",

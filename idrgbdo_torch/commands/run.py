@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -27,19 +28,34 @@ class RunCommand:
     resume: bool = False  # go on with the interrupted run in --out, else in runs/<sequence>/latest
     viewer: bool = False  # watch it in Rerun, pip install "idrgbdo_torch[viewer]"
     save_rrd: Path | None = None  # the same into a file, for machines without a display
+    odom_bag: Path | None = None  # also the poses as nav_msgs/Odometry: .bag for ROS 1, .mcap for ROS 2
+    odom_axes: Literal["optical", "body"] = "optical"  # of these: z forward and y down, or x forward and z up
 
 
 def run(command: RunCommand) -> int:
     """Track a recording; the exit status is 130 where Ctrl-C ended it."""
+    from ..export.tracked import load_run, trusted
     from ..report.viewer import open_viewer
+    from ..runs.folder import default_folder
     from ..runs.source import Reading
+    from .export import write_odometry
     from .track import track
 
     sequence = open_input(command.sequence, command.input)
     print("reading", plain(sequence.recognised), flush=True)
+    out = command.out
+    if command.odom_bag and out is None:
+        newest = (Path("runs") / sequence.name / "latest").resolve()
+        out = newest if command.resume else default_folder(sequence.name, datetime.now())
     with open_viewer(sequence.name, command.viewer, command.save_rrd) as viewer:
         reading = Reading(command.sequence, asdict(command.input))
-        return track(
-            sequence, sequence.name, command.settings, command.out, command.figures, viewer, command.map,
+        status = track(
+            sequence, sequence.name, command.settings, out, command.figures, viewer, command.map,
             command.resume, reading,
         )  # fmt: skip
+    if command.odom_bag and out is not None:
+        tracked = load_run(out)
+        chosen = trusted(tracked)
+        write_odometry(tracked, chosen, chosen.frames, command.odom_bag, command.odom_axes)
+        print(f"odometry of {len(chosen.frames)} frames in {command.odom_bag}", flush=True)
+    return status

@@ -13,7 +13,7 @@ from typing import Any, Literal, Protocol
 from ..definitions.camera import Pinhole
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
-from ..open3d_loader import load_open3d
+from ..tracker.open3d_loader import load_open3d
 from ..trajectory import Trajectory
 from .builder import FrameBuilder
 from .calibration import Calibration

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import IdRgbdoError
-from ..open3d_loader import load_open3d
+from ..tracker.open3d_loader import load_open3d
 from .builder import RawPair
 from .calibration import Calibration, find_calibration
 

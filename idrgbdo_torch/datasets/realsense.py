@@ -11,7 +11,7 @@ from typing import Any
 from ..definitions.camera import Pinhole
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
-from ..open3d_loader import load_open3d
+from ..tracker.open3d_loader import load_open3d
 from ..trajectory import Trajectory
 from .builder import FrameBuilder
 from .depth_scale import depth_warnings

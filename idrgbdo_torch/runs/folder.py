@@ -25,6 +25,7 @@ from ..odometry import Odometry, Record, Run, Status, lost_because
 from ..tracker.inspection import Inspectable
 from ..tracker.mapping import ply_bytes
 from ..trajectory import TUM_HEADER, Trajectory, nearest, read_tum, tum_line, tum_text
+from . import certainty
 from .writing import Lines, lock, write_whole
 
 DEGREES_OF_FREEDOM = ("vx", "vy", "vz", "wx", "wy", "wz")
@@ -34,6 +35,7 @@ COLUMNS = (
     *("decode_ms", "ms"),
     *(f"entropy_{name}_bits" for name in DEGREES_OF_FREEDOM),
     *(f"information_{DEGREES_OF_FREEDOM[row]}_{DEGREES_OF_FREEDOM[column]}" for row, column in UPPER),
+    *certainty.COLUMNS,
 )
 OWN_FILES = ("trajectory.txt", "trajectory_refined.txt", "keyframes.txt", "frames.csv", "config.toml", "summary.json")
 
@@ -52,6 +54,7 @@ class RunFolder:
         Raises IdRgbdoError where the folder cannot be written, or another run is writing to it.
         """
         self.path = path
+        self._certainty = certainty.Certainty()
         try:
             path.mkdir(parents=True, exist_ok=True)
             self._lock = lock(path)
@@ -86,7 +89,7 @@ class RunFolder:
             self._trajectory.append(line)
             if record.result.keyframe:
                 self._keyframes.append(line)
-            self._frames.append(_csv_line(_row(record)))
+            self._frames.append(_csv_line([*_row(record), *self._certainty.cells(record)]))
         except IdRgbdoError:
             for file, size in zip(self._files, sizes, strict=True):
                 file.cut(size)
@@ -108,11 +111,15 @@ class RunFolder:
                 write_whole(self.path / "keyframes.txt", tum_text(refined.at(_indices(refined, times))))
         if with_map and isinstance(odometry, Inspectable):
             for segment, cloud in odometry.maps().items():
-                name = f"map_segment_{segment}.ply" if segment else "map.ply"
-                write_whole(self.path / name, ply_bytes(cloud))
+                write_whole(self.path / map_name(segment), ply_bytes(cloud))
         summary = summarise(run, evaluation)
         write_whole(self.path / "summary.json", json.dumps(summary, indent=2) + "\n")
         return summary
+
+
+def map_name(segment: int) -> str:
+    """The file of a segment's points; the first one's is the map."""
+    return f"map_segment_{segment}.ply" if segment else "map.ply"
 
 
 def _clear(path: Path, resumed: bool) -> None:
@@ -249,7 +256,7 @@ def _csv_line(cells: Iterable[str]) -> str:
 
 
 def _row(record: Record) -> list[str]:
-    """The cells of frames.csv in the order of COLUMNS; empty where there is no value."""
+    """The first cells of frames.csv in the order of COLUMNS; empty where there is no value."""
     result = record.result
     information = result.information
     entropy = [f"{bits:.4f}" for bits in result.entropy_bits] or [""] * 6

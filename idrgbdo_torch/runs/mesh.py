@@ -13,7 +13,7 @@ from ..definitions.camera import Pinhole
 from ..definitions.se3 import inverse
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
-from ..open3d_loader import load_open3d
+from ..tracker.open3d_loader import load_open3d
 from ..trajectory import Trajectory, nearest
 
 BLOCK = 8  # voxels along the side of a block

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ..open3d_loader import load_open3d
+from ..tracker.open3d_loader import load_open3d
 from .config import SynthConfig
 from .surfaces import Array
 from .world import FULL, LEVELS, Floats, World

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..open3d_loader import load_open3d
+from ..tracker.open3d_loader import load_open3d
 from .scenes import Scene
 from .surfaces import Array, Surface
 

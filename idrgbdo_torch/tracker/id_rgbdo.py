@@ -24,7 +24,7 @@ from .mapping import NOTHING, Cloud, keyframe_cloud, together
 from .motion import Motion, turn_rate
 from .recovery import find_in_places, find_in_window
 from .reference import Reference
-from .results import held, measured
+from .results import held, joins, measured
 from .selection import point_bits, select_points, view_margin
 from .tracking import Pair, Tracked, motion_information
 from .verification import LIMITS, Verdict, unsure
@@ -236,8 +236,7 @@ class IdRgbdo:
         if reference is None or (found := find_in_places(self._pair(frame, reference), earlier)) is None:
             return result
         segment = history.segments[found.number]
-        seen = f"found in the keyframe of {history.keyframe_times[found.number]:.3f} s"
-        reason = f"segment {history.segment} joins {segment}, {seen}"
+        reason = joins(history.segment, segment, history.keyframe_times[found.number])
         T_cam_world = found.tracked.T_frame_kf @ history.keyframe_poses[found.number]
         T_segment_world = inverse(self.motion.T_cam_world) @ T_cam_world
         history.join(segment, T_segment_world)

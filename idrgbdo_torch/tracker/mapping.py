@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from ..definitions.camera import Pinhole
 from ..frame import Keyframe
-from ..open3d_loader import load_open3d
+from .open3d_loader import load_open3d
 
 Array = NDArray[np.float64]
 
-LIMIT = 1_000_000  # points kept, 27 bytes each
+LIMIT = 1_000_000  # points kept, 51 bytes each
 FIRST_VOXEL = 0.005  # m, side of the cubes in which points are merged once there are more; doubled as often as needed
 REACH = 3  # px between a point and the neighbours that its normal is taken from
 SMOOTH = 0.05  # relative difference in depth above which a neighbour belongs to another surface
@@ -29,9 +29,14 @@ class Cloud:
     xyz: NDArray[np.float32]  # (N, 3) m
     rgb: NDArray[np.uint8]  # (N, 3)
     normal: NDArray[np.float32]  # (N, 3) of unit length, towards the camera; 0 where unknown
+    origin: Array | None = None  # (N, 3) time (s) of the keyframe that has it, and its px there; nan where unknown
 
     def __len__(self) -> int:
         return len(self.xyz)
+
+    def origins(self) -> Array:
+        """The same, nan for every point where nothing was said."""
+        return np.full((len(self), 3), np.nan) if self.origin is None else self.origin
 
 
 NOTHING = Cloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.float32))
@@ -54,7 +59,8 @@ def keyframe_cloud(keyframe: Keyframe) -> Cloud:
     else:
         rgb = np.repeat(keyframe.frame.images[0][row, column, None].clip(0, 255), 3, axis=1)
     normal = surface_normals(keyframe.frame.depth, camera, row, column)
-    return Cloud(np.column_stack([x, y, depth]).astype(np.float32), rgb.astype(np.uint8), normal)
+    origin = np.column_stack([np.full(len(uv), keyframe.frame.timestamp), uv])
+    return Cloud(np.column_stack([x, y, depth]).astype(np.float32), rgb.astype(np.uint8), normal, origin)
 
 
 def surface_normals(
@@ -85,8 +91,9 @@ def world_cloud(clouds: Sequence[Cloud], T_kf_world: Sequence[Array]) -> Cloud:
     for cloud, T in zip(clouds, T_kf_world, strict=True):
         xyz.append(((cloud.xyz - T[:3, 3]) @ T[:3, :3]).astype(np.float32))  # R^T (P - t)
         normal.append((cloud.normal @ T[:3, :3]).astype(np.float32))
+    origin = [NOTHING.origins(), *(cloud.origins() for cloud in clouds)]
     rgb = [NOTHING.rgb, *(cloud.rgb for cloud in clouds)]
-    return Cloud(np.concatenate(xyz), np.concatenate(rgb), np.concatenate(normal))
+    return Cloud(np.concatenate(xyz), np.concatenate(rgb), np.concatenate(normal), np.concatenate(origin))
 
 
 def together(clouds: Iterable[Cloud]) -> Cloud:
@@ -135,7 +142,7 @@ def merge_in_voxels(cloud: Cloud, size: float) -> Cloud:
 
 
 def write_ply(path: Path, cloud: Cloud) -> None:
-    """A binary PLY point cloud with colours and normals (0, 0, 0 where unknown)."""
+    """A binary PLY point cloud: colours, normals (0, 0, 0 where unknown), and where known keyframes' times and px."""
     path.write_bytes(ply_bytes(cloud))
 
 
@@ -144,8 +151,11 @@ def ply_bytes(cloud: Cloud) -> bytes:
     columns: dict[str, NDArray[Any]] = {"x": cloud.xyz[:, 0], "y": cloud.xyz[:, 1], "z": cloud.xyz[:, 2]}
     columns |= {f"n{axis}": cloud.normal[:, number] for number, axis in enumerate("xyz")}
     columns |= {name: cloud.rgb[:, number] for number, name in enumerate(("red", "green", "blue"))}
-    kinds = {"f4": "float", "u1": "uchar"}
-    layout = [(name, "u1" if values.dtype == np.uint8 else "f4") for name, values in columns.items()]
+    if cloud.origin is not None:
+        u, v = cloud.origin[:, 1:].T.astype(np.float32)
+        columns |= {"time": cloud.origin[:, 0], "u": u, "v": v}
+    kinds = {"f4": "float", "u1": "uchar", "f8": "double"}
+    layout = [(name, values.dtype.str[1:]) for name, values in columns.items()]
     vertices = np.empty(len(cloud), dtype=[(name, f"<{kind}") for name, kind in layout])
     for name, values in columns.items():
         vertices[name] = values

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -40,3 +42,14 @@ def measured(
         entropy_bits=tuple(bits.tolist()),
         segment=segment,
     )
+
+
+def joins(segment: int, earlier: int, seen_s: float) -> str:
+    """The reason of the frame with which a segment became part of an earlier one, seen in its keyframe of that time."""
+    return f"segment {segment} joins {earlier}, found in the keyframe of {seen_s:.3f} s"
+
+
+def joined(reason: str) -> tuple[int, int] | None:
+    """The two segments of such a reason; None for any other."""
+    found = re.match(r"segment (\d+) joins (\d+),", reason)
+    return None if found is None else (int(found[1]), int(found[2]))

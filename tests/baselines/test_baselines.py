@@ -16,8 +16,8 @@ from baselines.geometry import surface_inverse_depth, twist_jacobian
 from idrgbdo_torch.definitions.se3 import exp, inverse, log, transform
 from idrgbdo_torch.frame import RgbdFrame
 from idrgbdo_torch.odometry import Odometry, Status
-from idrgbdo_torch.open3d_loader import load_open3d
 from idrgbdo_torch.synthetic import RenderedSequence, SensorConfig, SynthConfig
+from idrgbdo_torch.tracker.open3d_loader import load_open3d
 
 EYE = torch.eye(4, dtype=torch.float64)
 BLIND = "constant-velocity"

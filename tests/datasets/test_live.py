@@ -25,7 +25,7 @@ from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.evaluation import evaluate
 from idrgbdo_torch.frame import BrokenFrame, RgbdFrame
 from idrgbdo_torch.odometry import Run, Status, run
-from idrgbdo_torch.open3d_loader import load_open3d
+from idrgbdo_torch.tracker.open3d_loader import load_open3d
 
 START = 1_700_000_000
 

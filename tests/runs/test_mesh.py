@@ -15,9 +15,9 @@ from idrgbdo_torch import IdRgbdo
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.frame import BrokenFrame, RgbdFrame
 from idrgbdo_torch.odometry import run
-from idrgbdo_torch.open3d_loader import load_open3d
 from idrgbdo_torch.runs.mesh import Mesh, MeshConfig, fuse
 from idrgbdo_torch.synthetic import RenderedSequence
+from idrgbdo_torch.tracker.open3d_loader import load_open3d
 from idrgbdo_torch.trajectory import Trajectory
 
 SURFACE_M = 0.02  # a vertex is on the surface within this

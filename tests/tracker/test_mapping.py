@@ -16,7 +16,6 @@ from idrgbdo_torch.definitions.camera import Pinhole, project
 from idrgbdo_torch.frame import Keyframe, RgbdFrame, prepare
 from idrgbdo_torch.kernels import selection as choice
 from idrgbdo_torch.measurement import kernel_noise
-from idrgbdo_torch.open3d_loader import load_open3d
 from idrgbdo_torch.tracker.backends import backend_named
 from idrgbdo_torch.tracker.keyframe import make_keyframe
 from idrgbdo_torch.tracker.mapping import (
@@ -28,6 +27,7 @@ from idrgbdo_torch.tracker.mapping import (
     world_cloud,
     write_ply,
 )
+from idrgbdo_torch.tracker.open3d_loader import load_open3d
 from idrgbdo_torch.tracker.selection import point_bits
 
 FUSED = backend_named("fused")
@@ -77,6 +77,8 @@ def test_a_keyframes_points_project_to_where_they_were_seen_in_their_colour() ->
     assert valid.all()
     np.testing.assert_allclose(uv.numpy(), keyframe.points.uv, atol=1e-3)
     np.testing.assert_allclose(cloud.xyz[:, 2], 2.0, atol=1e-5)
+    np.testing.assert_array_equal(cloud.origins()[:, 1:], keyframe.points.uv)
+    assert (cloud.origins()[:, 0] == keyframe.frame.timestamp).all()
     column, row = keyframe.points.uv.astype(int).T
     assert keyframe.frame.color is not None
     np.testing.assert_array_equal(cloud.rgb, keyframe.frame.color.numpy()[row, column])

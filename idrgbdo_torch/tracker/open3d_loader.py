@@ -8,7 +8,7 @@ import sys
 from functools import cache
 from types import ModuleType
 
-from .errors import IdRgbdoError
+from ..errors import IdRgbdoError
 
 
 @cache

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from idrgbdo_torch.open3d_loader import load_open3d
+from idrgbdo_torch.tracker.open3d_loader import load_open3d
 
 
 def test_open3d_loads_and_is_loaded_once() -> None:
@@ -16,7 +16,8 @@ def test_open3d_loads_and_is_loaded_once() -> None:
 
 def test_names_of_the_rendered_world_import_without_torch_and_open3d() -> None:
     code = (
-        "import sys; import idrgbdo_torch.open3d_loader; from idrgbdo_torch.synthetic import SynthConfig, synth; "
+        "import sys; import idrgbdo_torch.tracker.open3d_loader\n"
+        "from idrgbdo_torch.synthetic import SynthConfig, synth; "
         "SynthConfig(); print([m for m in ('torch', 'open3d', 'numba', 'cv2') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

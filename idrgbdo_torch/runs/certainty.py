@@ -1,0 +1,91 @@
+"""How certain a frame's pose in the world is, and how fast the camera moves: what frames.csv says beyond the record."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..definitions.se3 import adjoint, inverse, log
+from ..odometry import Record, Status, TrackResult
+from ..trajectory import quaternion_from_rotation
+
+Array = NDArray[np.float64]
+
+TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+POSE = ("x", "y", "z", "rx", "ry", "rz")
+UPPER = [(row, column) for row in range(6) for column in range(row, 6)]
+COLUMNS = (
+    *(f"T_ref_cam_{name}" for name in ("tx", "ty", "tz", "qx", "qy", "qz", "qw")),
+    *(f"covariance_{POSE[row]}_{POSE[column]}" for row, column in UPPER),
+    *(f"velocity_{name}" for name in TWIST),
+)
+
+
+class Certainty:
+    """Follows a run frame by frame. A frame's error is its own against its keyframe, on top of the keyframe's.
+
+    The two are taken for independent, and nothing is taken back when the window refines a keyframe: on the safe side.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[float, Array] = {}  # by time (s), (6, 6) covariance of a left increment of T_cam_world
+        self._before: tuple[float, TrackResult] | None = None  # time (s) and result of the frame before
+
+    def cells(self, record: Record) -> list[str]:
+        """The cells of COLUMNS, empty where there is no value."""
+        result = record.result
+        covariance = self._covariance(record)
+        velocity = self._velocity(record)
+        self._before = record.timestamp, result
+        world = None if covariance is None else in_world(covariance, result.T_world_cam.numpy())
+        measured: list[float] = []
+        if result.T_ref_cam is not None:
+            measured += result.T_ref_cam[:3, 3].tolist() + quaternion_from_rotation(result.T_ref_cam[:3, :3]).tolist()
+        return [
+            *([f"{number:.9f}" for number in measured] or [""] * 7),
+            *("" if world is None else f"{world[row, column]:.9g}" for row, column in UPPER),
+            *([""] * 6 if velocity is None else [f"{number:.9g}" for number in velocity]),
+        ]
+
+    def _covariance(self, record: Record) -> Array | None:
+        """(6, 6) of a left increment [v, w] of T_cam_world; None where that is unknown."""
+        result, reference = record.result, record.result.reference_time
+        found: Array | None = None
+        if self._before is None and result.status is not Status.LOST:
+            found = np.zeros((6, 6))  # the world is where the first frame says
+        elif reference in self._known and result.T_ref_cam is not None and result.information is not None:
+            own = inverted(result.information.numpy())
+            Ad = adjoint(inverse(result.T_ref_cam)).numpy()
+            found = None if own is None else own + Ad @ self._known[reference] @ Ad.T
+        if found is not None:
+            self._known[record.timestamp] = found
+        return found
+
+    def _velocity(self, record: Record) -> Array | None:
+        """(6,) [v, w] of the camera in its own axes since the frame before, m/s and rad/s."""
+        if self._before is None:
+            return None
+        time, before = self._before
+        result, dt = record.result, record.timestamp - time
+        if Status.LOST in (result.status, before.status) or result.segment != before.segment or dt <= 0:
+            return None
+        return np.asarray(log(inverse(before.T_world_cam) @ result.T_world_cam).numpy() / dt)
+
+
+def inverted(information: Array) -> Array | None:
+    """The covariance (6, 6) of an information matrix; None where a direction was not measured."""
+    covariance, failed = torch.linalg.inv_ex(torch.from_numpy(information))
+    if failed or not bool((covariance.diagonal() > 0).all()):
+        return None
+    return np.asarray(((covariance + covariance.mT) / 2).numpy())
+
+
+def in_world(covariance: Array, T_world_cam: Array) -> Array:
+    """The covariance (6, 6) of position and of rotation about the world's axes, [x, y, z, rx, ry, rz], m and rad.
+
+    covariance: (6, 6) of a left increment xi = [v, w] of T_cam_world. T_world_cam exp(-xi) moves the camera by -R v and
+    turns it by -R w about fixed axes, so both blocks turn with R.
+    """
+    J = np.kron(np.eye(2), -T_world_cam[:3, :3])
+    return np.asarray(J @ covariance @ J.T)
