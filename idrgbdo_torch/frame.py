@@ -12,11 +12,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from .clock import NO_SECONDS
 from .definitions.camera import Pinhole
 from .definitions.checks import check_gray, check_metres
 from .errors import IdRgbdoError
 from .measurement import COARSE_BLUR, LEVELS, Points, View
+from .text.clock import NO_SECONDS
 
 Image = NDArray[Any]
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from .errors import IdRgbdoError
-from .tum_text import read_rows
+from .text.tum import read_rows
 
 TUM_HEADER = "# timestamp tx ty tz qx qy qz qw (camera to world, seconds and metres)\n"
 

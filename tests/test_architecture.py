@@ -16,8 +16,8 @@ LONGEST = 300  # lines
 # from the ground up; a folder counts as one, and its files may import each other
 FLOORS = (
     {"errors"},
-    {"open3d_loader", "configfile", "textfile", "clock", "machine", "plain"},
-    {"config", "tum_text"},
+    {"configfile", "text"},
+    {"config"},
     {"measurement"},  # what a point, a patch and its noise are
     {"definitions", "kernels"},  # the method twice, side by side
     {"frame", "trajectory"},

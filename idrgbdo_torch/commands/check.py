@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from ..plain import plain
+from ..text.plain import plain
 from .input import Input
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from tyro.conf import subcommand
 from .. import __version__, configfile
 from ..config import Config
 from ..errors import IdRgbdoError
-from ..plain import plain
+from ..text.plain import plain
 from .check import CheckCommand, check
 from .compare import CompareCommand, compare
 from .demo import DemoCommand, demo

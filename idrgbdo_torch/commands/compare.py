@@ -137,7 +137,7 @@ def _show(comparison: Comparison) -> None:
     from rich.table import Table
 
     from ..comparison.table import LEGEND, provenance, tables, to_markdown
-    from ..plain import plain
+    from ..text.plain import plain
 
     if not sys.stdout.isatty():
         sys.stdout.write("".join(plain(line) + "\n" for line in to_markdown(comparison).splitlines()))
@@ -163,7 +163,7 @@ def _progress_bar() -> Iterator[Callable[[Progress], None]]:
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
-    from ..plain import plain
+    from ..text.plain import plain
 
     with Bar(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
         task = bar.add_task("")

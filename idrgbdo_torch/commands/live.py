@@ -8,7 +8,7 @@ from typing import Literal
 
 from .. import configfile
 from ..config import Config
-from ..plain import plain
+from ..text.plain import plain
 from .input import Settings
 
 

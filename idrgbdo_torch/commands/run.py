@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from ..config import Config
-from ..plain import plain
+from ..text.plain import plain
 from .input import Input, Settings, open_input
 
 

@@ -19,7 +19,6 @@ from ..evaluation import Evaluation, hints
 from ..evaluation import evaluate as evaluate_trajectory
 from ..frame import BrokenFrame, RgbdFrame
 from ..odometry import Odometry, Record, Run, Status
-from ..plain import plain
 from ..report import Snapshot, run_page, watch
 from ..report.pictures import Picture, draw_frames, draw_trajectory, save
 from ..report.terminal import (
@@ -36,6 +35,7 @@ from ..runs.checkpoint import Checkpoints, Identity, State
 from ..runs.folder import RunFolder, believable, default_folder, is_refined, measurements
 from ..runs.source import Reading
 from ..runs.writing import write_whole
+from ..text.plain import plain
 from ..trajectory import Trajectory
 from .mesh import fuse_mesh
 

@@ -15,7 +15,7 @@ from ..datasets import RgbdSequence
 from ..errors import IdRgbdoError
 from ..evaluation import ASSOCIATION_LIMIT_S, evaluate
 from ..frame import RgbdFrame
-from ..machine import machine_name
+from ..runs.machine import machine_name
 from ..runs.writing import is_file_name, write_whole
 from ..trajectory import associate, read_tum, tum_text
 from .methods import Methods

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import IdRgbdoError
-from ..textfile import read_text
+from ..text.files import read_text
 from .yaml_text import parse_yaml
 
 MATRICES = (

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from ..clock import in_seconds, unit_of
 from ..errors import IdRgbdoError
-from ..textfile import read_text
+from ..text.clock import in_seconds, unit_of
+from ..text.files import read_text
 from .images import IMAGE_SUFFIXES
 
 MOST_REPEATED = 0.1  # of a list's lines; a clock that repeats more is none

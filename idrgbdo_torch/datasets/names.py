@@ -13,7 +13,7 @@ from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 
-from ..clock import NO_SECONDS, UNITS, in_seconds, unit_of
+from ..text.clock import NO_SECONDS, UNITS, in_seconds, unit_of
 
 STRAYS = 0.2  # at most this share of a folder's images may be named unlike the rest
 SHORTEST_GAP_S = 2e-3  # no depth camera is faster; what counts faster is a counter

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from ..errors import IdRgbdoError
-from ..textfile import read_text
+from ..text.files import read_text
 from ..trajectory import Trajectory
 
 Matrix = NDArray[np.float64]

@@ -16,7 +16,7 @@ from .. import __version__
 from ..config import Config
 from ..datasets import open_sequence
 from ..errors import IdRgbdoError
-from ..machine import machine_name
+from ..runs.machine import machine_name
 from .sweep import Progress, Workers, sweep
 from .task import Clip, Measured, Task, content_digest, measure, measured
 

@@ -24,14 +24,21 @@ from ..datasets import RgbdSequence, open_sequence
 from ..errors import IdRgbdoError
 from ..evaluation import Evaluation, evaluate
 from ..frame import BrokenFrame, RgbdFrame
-from ..machine import machine_name
 from ..odometry import Odometry, Run, Status, run
 from ..runs.folder import is_refined, measurements, summarise
+from ..runs.machine import machine_name
 from ..tracker.tracking import motion_information
 
 OURS = "ours"
 PACKAGE = Path(__file__).resolve().parent.parent
-DECIDING = ("definitions", "kernels", "tracker", "datasets")  # folders of the package that change results
+DECIDING = (
+    "definitions",
+    "kernels",
+    "tracker",
+    "datasets",
+    "evaluation",
+    "text",
+)  # folders of the package that change results
 FRAME_BYTES = 11  # a pixel, decoded: gray and depth in 4 each, colour in 3
 KEPT_SHARE = 0.25  # of the machine's memory, that all processes together may fill with decoded frames
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from ..evaluation import Evaluation
 from ..odometry import Record, Run, Status, lost_because
-from ..plain import plain
+from ..text.plain import plain
 
 Rows = list[tuple[str, str]]
 MOST_REASONS = 3  # kinds of reasons for a loss that are shown

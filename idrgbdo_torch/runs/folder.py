@@ -20,12 +20,12 @@ from torch import Tensor
 from .. import __version__
 from ..errors import IdRgbdoError
 from ..evaluation import Evaluation, Measurement
-from ..machine import machine_name
 from ..odometry import Odometry, Record, Run, Status, lost_because
 from ..tracker.inspection import Inspectable
 from ..tracker.mapping import ply_bytes
 from ..trajectory import TUM_HEADER, Trajectory, nearest, read_tum, tum_line, tum_text
 from . import certainty
+from .machine import machine_name
 from .writing import Lines, lock, write_whole
 
 DEGREES_OF_FREEDOM = ("vx", "vy", "vz", "wx", "wy", "wz")

@@ -274,16 +274,14 @@ class IdRgbdo:
 
     def map_points(self) -> tuple[Tensor, Tensor]:
         """(N, 3) float32 candidate points of all keyframes in the world, m, and their (N, 3) uint8 RGB colours."""
-        cloud = together(self.maps().values())
-        return torch.from_numpy(cloud.xyz), torch.from_numpy(cloud.rgb)
+        return together(self.maps().values()).tensors()
 
     def window_keyframes(self) -> dict[int, tuple[Keyframe, Array]]:
         """By number, the keyframes that are still refined and their T_kf_world (4, 4); the newest is the last."""
-        members, newest = self.window.members, len(self.history.keyframe_poses) - 1
-        held = dict(zip(self.history.in_window, zip(members.keyframes, members.T, strict=True), strict=True))
-        if self.reference is not None and newest not in held:  # without a window
-            held[newest] = (self.reference.keyframe, self.reference.T_kf_world)
-        return held
+        members, reference = self.window.members, self.reference
+        if not members and reference is not None:  # the window is off
+            return {len(self.history.keyframe_poses) - 1: (reference.keyframe, reference.T_kf_world)}
+        return dict(zip(self.history.in_window, zip(members.keyframes, members.T, strict=True), strict=True))
 
     def last_alignment(self) -> tuple[Keyframe, Tracked] | None:
         """The keyframe that the last frame was tracked against, and how; None where it was not tracked."""
@@ -301,6 +299,6 @@ class IdRgbdo:
         if self.last is not None:
             (keyframe, tracked), everyone = self.last, np.arange(len(self.last[0].points.uv))
             return point_bits(keyframe, tracked.T_frame_kf, everyone, self.noise, self.backend)[0]
-        if self.reference is not None and self.reference.keyframe.frame.timestamp == self.history.times[-1]:
-            return torch.from_numpy(self.reference.keyframe.points.uv)
-        return torch.zeros(0, 2, dtype=torch.float64)
+        own = self.reference.keyframe if self.reference else None
+        shown = own is not None and own.frame.timestamp == self.history.times[-1]
+        return torch.from_numpy(own.points.uv) if own and shown else torch.zeros(0, 2, dtype=torch.float64)

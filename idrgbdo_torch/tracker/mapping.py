@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from ..definitions.camera import Pinhole
 from ..frame import Keyframe
@@ -30,6 +32,10 @@ class Cloud:
     rgb: NDArray[np.uint8]  # (N, 3)
     normal: NDArray[np.float32]  # (N, 3) of unit length, towards the camera; 0 where unknown
     origin: Array | None = None  # (N, 3) time (s) of the keyframe that has it, and its px there; nan where unknown
+
+    def tensors(self) -> tuple[Tensor, Tensor]:
+        """The points (N, 3) float32 and their colours (N, 3) uint8."""
+        return torch.from_numpy(self.xyz), torch.from_numpy(self.rgb)
 
     def __len__(self) -> int:
         return len(self.xyz)

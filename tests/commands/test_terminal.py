@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from idrgbdo_torch.commands.cli import main
-from idrgbdo_torch.plain import plain
+from idrgbdo_torch.text.plain import plain
 from idrgbdo_torch.trajectory import read_tum
 
 Make = Callable[..., Path]

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from idrgbdo_torch.clock import unit_of
 from idrgbdo_torch.datasets import open_sequence
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.frame import RgbdFrame
-from idrgbdo_torch.textfile import read_text
+from idrgbdo_torch.text.clock import unit_of
+from idrgbdo_torch.text.files import read_text
 
 Make = Callable[..., Path]
 START = 1_612_345_678

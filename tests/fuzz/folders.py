@@ -12,10 +12,10 @@ from run_records import record
 
 from idrgbdo_torch.comparison.outcome import Outcome, append_outcome, read_outcomes
 from idrgbdo_torch.errors import IdRgbdoError
-from idrgbdo_torch.plain import plain
 from idrgbdo_torch.runs.folder import RunFolder
 from idrgbdo_torch.runs.source import NAME, Reading, recall
 from idrgbdo_torch.runs.writing import is_file_name
+from idrgbdo_torch.text.plain import plain
 from idrgbdo_torch.trajectory import read_tum
 
 from .mutate import spoiled, token, words_spoiled

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..errors import IdRgbdoError
 from .clock import in_seconds, unit_of
-from .errors import IdRgbdoError
-from .textfile import read_text
+from .files import read_text
 
 EXPECTED = "`timestamp tx ty tz qx qy qz qw`"
 FEWEST = 3  # poses that two runs have in common
