@@ -38,7 +38,7 @@ DECIDING = (
     "datasets",
     "evaluation",
     "text",
-)  # folders of the package that change results
+)  # folders that change results
 FRAME_BYTES = 11  # a pixel, decoded: gray and depth in 4 each, colour in 3
 KEPT_SHARE = 0.25  # of the machine's memory, that all processes together may fill with decoded frames
 

@@ -118,8 +118,7 @@ class IdRgbdo:
         last, turn = self.motion.frame, self.motion.turn
         if last is None or last.timestamp == self.history.keyframe_times[-1]:
             return False
-        keyframe = make_keyframe(last, self.config, self.rng, self.backend)
-        if len(keyframe.points.uv) < FEWEST_CANDIDATES:
+        if (keyframe := self._keyframe(last)) is None:
             return False
         prior = motion_information(self.config, KEYFRAME_GAP)
         index = self._select(keyframe, np.eye(4), self.config.selection.points, prior, self.noise)
@@ -146,11 +145,14 @@ class IdRgbdo:
 
     def _new_keyframe(self, frame: Frame) -> bool:
         """Make a keyframe of the frame just tracked and refine the window; False where it has too few candidates."""
+        if (keyframe := self._keyframe(frame)) is not None:
+            self._adopt(keyframe, self.history.T_cam_kf[-1])
+        return keyframe is not None
+
+    def _keyframe(self, frame: Frame) -> Keyframe | None:
+        """A keyframe of a frame, None where it has too few candidates."""
         keyframe = make_keyframe(frame, self.config, self.rng, self.backend)
-        if len(keyframe.points.uv) < FEWEST_CANDIDATES:
-            return False
-        self._adopt(keyframe, self.history.T_cam_kf[-1])
-        return True
+        return keyframe if len(keyframe.points.uv) >= FEWEST_CANDIDATES else None
 
     def _adopt(self, keyframe: Keyframe, T_kf_previous: Array | None = None) -> None:
         """Choose a keyframe's points, add it to the window and to history, and track against it from now on.
@@ -184,8 +186,7 @@ class IdRgbdo:
 
     def _start_segment(self, frame: Frame, reason: str) -> TrackResult:
         """Begin at the last pose: the first frame, or one after too many lost ones; lost where it lacks points."""
-        keyframe = make_keyframe(frame, self.config, self.rng, self.backend)
-        if len(keyframe.points.uv) < FEWEST_CANDIDATES:
+        if (keyframe := self._keyframe(frame)) is None:
             return self._hold(frame, reason)
         first = self.reference is None
         self._leave_window()
@@ -211,10 +212,7 @@ class IdRgbdo:
         pair = Pair(frame, newest, self.noise, self.backend)
         found = find_in_window(pair, self.motion.predicted(self.motion.gap(frame.timestamp)), window)
         found = found or find_in_places(pair, self.history.places.likely(pair.frame, self.lost_in_a_row))
-        if found is None:
-            return None
-        keyframe = make_keyframe(frame, self.config, self.rng, self.backend)
-        if len(keyframe.points.uv) < FEWEST_CANDIDATES:
+        if found is None or (keyframe := self._keyframe(frame)) is None:
             return None
         history = self.history
         if found.number not in window:
