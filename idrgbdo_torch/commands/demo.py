@@ -30,6 +30,7 @@ def demo(command: DemoCommand) -> int:
     from ..datasets import open_sequence
     from ..report.viewer import open_viewer
     from ..runs.source import Reading
+    from .observers import Viewing
     from .synth import render
     from .track import track
 
@@ -40,4 +41,12 @@ def demo(command: DemoCommand) -> int:
         render(DEMO, folder)
     reading = Reading(folder, {})
     with open_viewer("demo", command.viewer, command.save_rrd) as viewer:
-        return track(open_sequence(folder), "demo", command.settings, command.out, viewer=viewer, reading=reading)
+        observers = [Viewing(viewer)] if viewer else []
+        return track(
+            open_sequence(folder),
+            "demo",
+            command.settings,
+            command.out,
+            observers,
+            reading=reading,
+        )

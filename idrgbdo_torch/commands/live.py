@@ -32,6 +32,7 @@ def live(command: LiveCommand) -> int:
     """Track a camera until it stops, max_frames are reached, or Ctrl-C."""
     from ..datasets.live import open_camera
     from ..report.viewer import open_viewer
+    from .observers import Viewing
     from .track import track
 
     sequence = open_camera(
@@ -43,4 +44,5 @@ def live(command: LiveCommand) -> int:
     )
     print("reading", plain(sequence.recognised), flush=True)
     with open_viewer(sequence.name, command.viewer, command.save_rrd) as viewer:
-        return track(sequence, sequence.name, command.settings, command.out, viewer=viewer)
+        observers = [Viewing(viewer)] if viewer else []
+        return track(sequence, sequence.name, command.settings, command.out, observers)

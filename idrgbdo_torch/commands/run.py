@@ -39,6 +39,7 @@ def run(command: RunCommand) -> int:
     from ..runs.folder import default_folder
     from ..runs.source import Reading
     from .export import write_odometry
+    from .observers import Observer, Pictures, Viewing
     from .track import track
 
     sequence = open_input(command.sequence, command.input)
@@ -48,10 +49,11 @@ def run(command: RunCommand) -> int:
         newest = (Path("runs") / sequence.name / "latest").resolve()
         out = newest if command.resume else default_folder(sequence.name, datetime.now())
     with open_viewer(sequence.name, command.viewer, command.save_rrd) as viewer:
+        observers: list[Observer] = [Viewing(viewer)] if viewer else []
+        observers += [Pictures()] if command.figures else []
         reading = Reading(command.sequence, asdict(command.input))
         status = track(
-            sequence, sequence.name, command.settings, out, command.figures, viewer, command.map,
-            command.resume, reading,
+            sequence, sequence.name, command.settings, out, observers, command.map, command.resume, reading,
         )  # fmt: skip
     if command.odom_bag and out is not None:
         tracked = load_run(out)

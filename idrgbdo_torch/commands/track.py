@@ -1,10 +1,10 @@
-"""What the commands do. Only here and in terminal.py is anything shown."""
+"""A recording or a camera tracked into a run folder: what run, demo and live share."""
 
 from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING
 
 from .. import __version__, configfile, datasets, odometry
 from ..config import Config
-from ..definitions.se3 import inverse, transform
 from ..errors import IdRgbdoError
 from ..evaluation import Evaluation, hints
 from ..evaluation import evaluate as evaluate_trajectory
 from ..frame import BrokenFrame, RgbdFrame
-from ..odometry import Odometry, Record, Run, Status
+from ..odometry import Odometry, Record, Run
 from ..report import Snapshot, run_page, watch
-from ..report.pictures import Picture, draw_frames, draw_trajectory, save
 from ..report.terminal import (
     Rows,
     evaluation_rows,
@@ -38,9 +36,10 @@ from ..runs.writing import write_whole
 from ..text.plain import plain
 from ..trajectory import Trajectory
 from .mesh import fuse_mesh
+from .observers import Frames, Observer, Session
 
 if TYPE_CHECKING:
-    from ..report.viewer import Viewer
+    pass
 
 INTERRUPTED = 128 + signal.SIGINT
 
@@ -57,15 +56,15 @@ def track(
     title: str,
     config: Config,
     out: Path | None,
-    figures: bool = False,
-    viewer: Viewer | None = None,
+    observers: Sequence[Observer] = (),
     map_kind: str = "points",
     resume: bool | None = None,
     reading: Reading | None = None,
 ) -> int:
     """Track a sequence into a run folder, evaluate it where there is ground truth, and show the table.
 
-    resume: go on with the interrupted run in the folder; None where that can never be, so no checkpoint is kept.
+    observers: what else goes along. resume: go on with the interrupted run in the folder; None where that can never be,
+    so no checkpoint is kept.
     reading: what is tracked, left in the folder; a run is continued with the same alone.
     """
     for warning in sequence.warnings:
@@ -87,7 +86,7 @@ def track(
     kept = resume is not None and checkpoint.can_keep(method)
     checkpoints = Checkpoints(path, identity, [Snapshot]) if kept else None
     count_statuses = status_counter()
-    pictures = folder.path / "figures"
+    session = Session(path, method, records, sequence.groundtruth)
     with folder:
         if reading:
             reading.remember(path)
@@ -106,10 +105,9 @@ def track(
                     checkpoints.offer(state)
 
             picks = {number - done_before for number in _spread_out(len(sequence))}
-            frames = watch(_until(stopped, _from(sequence, done_before)), method, picks, snapshots)
-            if viewer:
-                frames = viewer.stream(frames, method, records, sequence.groundtruth)
-            frames = draw_frames(frames, method, records, pictures) if figures else frames
+            frames: Frames = watch(_until(stopped, _from(sequence, done_before)), method, picks, snapshots)
+            for observer in observers:
+                frames = observer.stream(frames, session)
             done = odometry.run(method, frames, on_record, tuple(records))
             if checkpoints:  # an interrupted run goes on here; a finished one drops it at the end
                 checkpoints.offer(state, now=True)
@@ -119,8 +117,8 @@ def track(
             rows.append(("mesh", _mesh(sequence, believable(method.trajectory(), done), path / "mesh.ply")))
         if done.records:
             write_whole(path / "report.html", run_page(path, title, sequence.groundtruth, snapshots))
-        if figures and records:
-            save(pictures / "trajectory.png", _from_above(done, evaluation, sequence.groundtruth))
+        for observer in observers:
+            observer.finish(done, evaluation, session)
     if checkpoints and checkpoints.problem:
         print("warning:", plain(checkpoints.problem), file=sys.stderr)
     if checkpoints and not stopped:
@@ -168,16 +166,6 @@ def _evaluated(done: Run, method: Odometry, groundtruth: Trajectory | None) -> t
 def _spread_out(frames: int, count: int = 6) -> set[int]:
     """Numbers of frames for pictures, the first one left out, since nothing is tracked in it."""
     return {round((frames - 1) * (k + 1) / (count + 1)) for k in range(count)} - {0}
-
-
-def _from_above(done: Run, evaluation: Evaluation | None, groundtruth: Trajectory | None) -> Picture:
-    """The causal poses, with the reference where it could be laid over them."""
-    reference = None
-    if evaluation is not None and groundtruth is not None:
-        reference = transform(inverse(evaluation.ate.T_reference_estimate), groundtruth.positions)
-    keyframes = [number for number, record in enumerate(done.records) if record.result.keyframe]
-    lost = [number for number, status in enumerate(done.statuses) if status is Status.LOST]
-    return draw_trajectory(done.trajectory().T_world_cam, keyframes, lost, reference)
 
 
 @contextmanager

@@ -246,9 +246,7 @@ class IdRgbdo:
 
     def _lost(self, frame: Frame, reason: str) -> TrackResult:
         """Stay where we were and say so; after too many such frames begin anew, with this one."""
-        if self.lost_in_a_row >= PATIENCE:
-            return self._start_segment(frame, reason)
-        return self._hold(frame, reason)
+        return self._start_segment(frame, reason) if self.lost_in_a_row >= PATIENCE else self._hold(frame, reason)
 
     def _hold(self, frame: Frame, reason: str) -> TrackResult:
         self.lost_in_a_row += 1
