@@ -12,14 +12,16 @@ import numpy as np
 import pytest
 import torch
 from inspected import Inspected
+from rendered import Film
 from run_records import RUN
 
 from idrgbdo_torch import __version__, configfile
 from idrgbdo_torch.config import Config
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.evaluation import evaluate
-from idrgbdo_torch.odometry import ConstantVelocity, Run
+from idrgbdo_torch.odometry import ConstantVelocity, Run, run
 from idrgbdo_torch.runs.folder import COLUMNS, RunFolder, default_folder, measurements, summarise
+from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 from idrgbdo_torch.tracker.mapping import Cloud
 from idrgbdo_torch.trajectory import Trajectory, read_tum
 
@@ -153,3 +155,15 @@ def test_default_folders_never_collide_and_latest_points_to_the_newest(tmp_path:
     assert second == tmp_path / "desk" / "2026-03-01_14-05-33_2"
     assert (tmp_path / "desk" / "latest").resolve() == second.resolve()
     assert sorted(path.name for path in (tmp_path / "desk").iterdir()) == [first.name, second.name, "latest"]
+
+
+def test_the_map_has_the_points_of_every_keyframe(desk: Film, tmp_path: Path) -> None:
+    """Those of the keyframes that are still in the window too."""
+    odometry = IdRgbdo()
+    with RunFolder(tmp_path / "run") as folder:
+        done = run(odometry, desk.frames[:16], folder.append)
+        folder.finish(done, odometry)
+    assert sum(record.result.keyframe for record in done.records) > 2
+    header = (tmp_path / "run" / "map.ply").read_bytes().split(b"end_header")[0]
+    vertices = int(header.split(b"element vertex ")[1].split()[0])
+    assert vertices == len(odometry.map_points()[0]) > 500
