@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from ..comparison.methods import Method
 
 
+_imported: dict[Path, str] = {}  # SHA-256 of the files of --add that this process has imported
+
+
 @dataclass(frozen=True)
 class CompareCommand:
     """Run methods over recordings and lay accuracy, losses, speed and memory side by side. A second call goes on."""
@@ -90,16 +93,18 @@ def known_methods(add: Path | None) -> dict[str, Method]:
     folder = str(add.resolve().parent)
     if folder not in sys.path:
         sys.path.insert(0, folder)  # so that the process in which a method runs can import it too
-    sys.modules.pop(add.stem, None) if _is_at(add) else None  # an edited file is read again
     try:
-        text = add.read_bytes()
+        digest = hashlib.sha256(add.read_bytes()).hexdigest()
+        if _is_at(add) and _imported.get(add.resolve(), digest) != digest:
+            del sys.modules[add.stem]  # edited since
         module = importlib.import_module(add.stem)
     except (OSError, SyntaxError, ImportError, AttributeError, LookupError, TypeError, ValueError, NameError) as error:
         raise IdRgbdoError(f"add: '{add}' cannot be imported ({type(error).__name__}: {error}); correct it") from error
+    _imported[add.resolve()] = digest
     extra = getattr(module, "METHODS", None)
     if not isinstance(extra, dict) or not _is_at(add):
         raise IdRgbdoError(f"add: expected a dictionary METHODS in '{add}', found none; see the README")
-    mark = f"# {add.name}, SHA-256 {hashlib.sha256(text).hexdigest()}\n"
+    mark = f"# {add.name}, SHA-256 {digest}\n"
     return {
         **METHODS,
         **{name: replace(method, settings=partial(_marked, method.settings, mark)) for name, method in extra.items()},
