@@ -57,9 +57,7 @@ class Verdict:
         """Why the pose is not to be believed, empty when it is; strict grows the limits towards 1."""
         if self.visible < LIMITS.in_view:
             return f"only {self.visible:.0%} of the keyframe is in view"
-        if self.supported and strict <= LIMITS.lost:  # doubtful it may be, but not lost
-            return ""
-        if self.bright < strict:
+        if self.bright < strict and not (self.supported and strict <= LIMITS.lost):  # then doubtful, but not lost
             return f"only {self.bright:.0%} of the points agree in brightness"
         if self.near < strict + LIMITS.depth_above:
             return f"only {self.near:.0%} of the points agree in depth"
