@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from .definitions.camera import Pinhole
-from .definitions.checks import check_gray, check_metres
+from .definitions.checks import check_gray, check_metres, extremes
 from .errors import IdRgbdoError
 from .measurement import COARSE_BLUR, LEVELS, Points, View
 from .text.clock import NO_SECONDS
@@ -60,7 +60,8 @@ class RgbdFrame:
                 f"timestamp: expected seconds, got {self.timestamp:g}; divide milliseconds by 1e3, nanoseconds by 1e9"
             )
         check_gray(self.gray)
-        if not bool((torch.stack(self.depth.aminmax()) >= 0).all()) or not bool(self.depth.amax().isfinite()):
+        nearest, farthest = extremes(self.depth)
+        if not (nearest >= 0 and farthest < float("inf")):  # nor NaN
             there = self.depth.isfinite() & (self.depth > 0)
             object.__setattr__(self, "depth", torch.where(there, self.depth, 0.0))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zipfile
 import zlib
@@ -107,9 +108,20 @@ def _read_array(path: Path) -> NDArray[Any]:
 
 def _bytes(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return _content(path)
     except OSError as error:
         raise IdRgbdoError(f"{path}: cannot read the image ({error.strerror}); check the list that names it") from error
+
+
+def _content(path: Path) -> bytes:
+    """As Path.read_bytes with half its system calls, each of which gives up Python's lock and then waits for it."""
+    file = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
+    try:
+        size = os.fstat(file).st_size
+        data = os.read(file, size)
+        return data if 0 < len(data) == size else path.read_bytes()  # in parts, or no plain file
+    finally:
+        os.close(file)
 
 
 def _decode(data: bytes, where: str, flags: int) -> NDArray[Any]:

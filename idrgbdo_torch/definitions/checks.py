@@ -20,12 +20,24 @@ LARGEST_GAIN = 1.0  # of the logarithm; both since with no contrast left, a blac
 
 def check_gray(gray: Tensor) -> None:
     """Raises IdRgbdoError where (..., H, W) are no gray levels 0..255, but numbers in 0..1 or 16 bits; NaN passes."""
-    low, high = (float(value) for value in gray.detach().aminmax())
+    low, high = extremes(gray)
     if low < -GRAY_ROOM or high > 255 + GRAY_ROOM:
         raise IdRgbdoError(f"gray: expected gray levels 0..255, got {low:g} to {high:g}; scale the image")
     # a dark image has few levels below 1, a bright one divided by 255 has many
     if low >= 0 and 0 < high <= 1 and len(set(gray.detach()[..., ::4, ::4].flatten().tolist())) > DARK_LEVELS:
         raise IdRgbdoError(f"gray: expected gray levels 0..255, got at most {high:g}; multiply the image by 255")
+
+
+def extremes(image: Tensor) -> tuple[float, float]:
+    """The least and the largest value; NaN where there is one.
+
+    By numpy on the CPU: torch shares so little work out to threads, and on a busy machine waits 10 ms for them.
+    """
+    image = image.detach()
+    if image.device.type == "cpu" and image.dtype in (torch.float32, torch.float64):
+        return float(image.numpy().min()), float(image.numpy().max())
+    low, high = image.aminmax()
+    return float(low), float(high)
 
 
 def check_metres(depth: Tensor) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import cv2
 import pytest
@@ -54,3 +54,15 @@ def footage(full: bool) -> Film:
     if full:
         return film(SynthConfig(frames=60))
     return film(SynthConfig(frames=12, width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5))
+
+
+@pytest.fixture
+def show(full: bool, capsys: pytest.CaptureFixture[str]) -> Callable[[str], None]:
+    """Writes a line past pytest, where the figures mean something."""
+
+    def line(text: str) -> None:
+        if full:
+            with capsys.disabled():
+                print(f"\n  {text}", end="", flush=True)
+
+    return line

@@ -33,18 +33,6 @@ LIBRARIES = [name for name in METHODS if name.startswith(("open3d", "opencv"))]
 Show = Callable[[str], None]
 
 
-@pytest.fixture
-def show(full: bool, capsys: pytest.CaptureFixture[str]) -> Show:
-    """Writes a line past pytest, where the figures mean something."""
-
-    def line(text: str) -> None:
-        if full:
-            with capsys.disabled():
-                print(f"\n  {text}", end="", flush=True)
-
-    return line
-
-
 def track_ms(odometry: Odometry, frame: RgbdFrame) -> tuple[float, bool]:
     """Processor time of one frame, and whether it became a keyframe."""
     begin = time.thread_time_ns()

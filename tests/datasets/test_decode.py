@@ -15,7 +15,7 @@ from rendered import Film
 
 from idrgbdo_torch.datasets import jpeg
 from idrgbdo_torch.datasets import png as png_file
-from idrgbdo_torch.datasets.images import decode_color, decode_depth
+from idrgbdo_torch.datasets.images import decode_color, decode_depth, read_depth
 from idrgbdo_torch.datasets.jpeg import decode_jpeg
 from idrgbdo_torch.datasets.pixels import gray_and_rgb, metres_of_16_bits
 from idrgbdo_torch.datasets.png import decode_png
@@ -281,3 +281,15 @@ def test_metres_are_numpys(scale: float) -> None:
     metres = metres_of_16_bits(raw, scale, 65535)
     assert metres.dtype == np.float32
     np.testing.assert_array_equal(metres, expected)
+
+
+def test_files_are_read_whole_and_what_is_no_file_says_so(tmp_path: Path) -> None:
+    stored = values((9, 13), 16, GRAY)
+    (tmp_path / "depth.png").write_bytes(png(stored, 16, GRAY, (4,)))
+    np.testing.assert_array_equal(read_depth(tmp_path / "depth.png"), stored)
+    (tmp_path / "empty.png").touch()
+    with pytest.raises(IdRgbdoError, match="empty image file"):
+        read_depth(tmp_path / "empty.png")
+    for name in ("missing.png", ""):
+        with pytest.raises(IdRgbdoError, match="cannot read the image"):
+            read_depth(tmp_path / name)
