@@ -9,11 +9,11 @@ import cv2
 import torch
 from torch import Tensor
 
-from idrgbdo_torch.configfile import dump
 from idrgbdo_torch.definitions.camera import backproject, project
 from idrgbdo_torch.definitions.se3 import transform
 from idrgbdo_torch.frame import RgbdFrame
 from idrgbdo_torch.odometry import Align, Alignment, Status
+from idrgbdo_torch.text.configfile import dump
 
 Raw = Callable[[RgbdFrame, RgbdFrame, Tensor], Tensor | str]  # as Align, but a bare (4, 4), or a sentence on failure
 

@@ -14,12 +14,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from idrgbdo_torch.configfile import dump
 from idrgbdo_torch.definitions.camera import Pinhole
 from idrgbdo_torch.definitions.image import gradient, pyramid
 from idrgbdo_torch.definitions.se3 import exp, inverse, log
 from idrgbdo_torch.definitions.solver import solve
 from idrgbdo_torch.frame import RgbdFrame
+from idrgbdo_torch.text.configfile import dump
 
 from . import checked
 from .keyframes import Fit, Keyframe, KeyframeOdometry, KeyframeRule

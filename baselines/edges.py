@@ -14,12 +14,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from idrgbdo_torch.configfile import dump
 from idrgbdo_torch.definitions.camera import Pinhole, backproject, duv_dP, project
 from idrgbdo_torch.definitions.image import pyramid, sample_bilinear
 from idrgbdo_torch.definitions.se3 import exp, inverse, transform
 from idrgbdo_torch.definitions.solver import normal_equations, solve
 from idrgbdo_torch.frame import RgbdFrame
+from idrgbdo_torch.text.configfile import dump
 
 from . import checked
 from .geometry import student_weight, surface_inverse_depth, twist_jacobian

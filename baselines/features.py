@@ -16,11 +16,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from idrgbdo_torch.configfile import dump
 from idrgbdo_torch.definitions.camera import Pinhole, backproject, duv_dP, inside, project
 from idrgbdo_torch.definitions.se3 import exp, inverse, transform
 from idrgbdo_torch.definitions.solver import normal_equations, solve
 from idrgbdo_torch.frame import RgbdFrame
+from idrgbdo_torch.text.configfile import dump
 
 from . import checked
 from .geometry import student_weight, surface_inverse_depth, twist_jacobian

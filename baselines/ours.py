@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from idrgbdo_torch import configfile
 from idrgbdo_torch.config import Config, Mode
+from idrgbdo_torch.text import configfile
 from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from .configfile import Bounds, Count, Fraction, Index, NonNegative, Positive
+from .text.configfile import Bounds, Count, Fraction, Index, NonNegative, Positive
 
 Mode = Literal["rand", "grid", "inf", "inf+grid"]
 BackendName = Literal["fused", "torch"]

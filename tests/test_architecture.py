@@ -16,7 +16,7 @@ LONGEST = 300  # lines
 # from the ground up; a folder counts as one, and its files may import each other
 FLOORS = (
     {"errors"},
-    {"configfile", "text"},
+    {"text"},
     {"config"},
     {"measurement"},  # what a point, a patch and its noise are
     {"definitions", "kernels"},  # the method twice, side by side

@@ -7,8 +7,9 @@ from dataclasses import replace
 from equations import ROOT, TAGS, called, code_of, homes
 from rendered import SMALL, film
 
-from idrgbdo_torch import IdRgbdo, Status, configfile, run
+from idrgbdo_torch import IdRgbdo, Status, run
 from idrgbdo_torch.config import Config
+from idrgbdo_torch.text import configfile
 
 FRAMES = 30
 TINY = replace(SMALL, frames=FRAMES, width=160, height=120, fx=131.25, fy=131.25, cx=79.5, cy=59.5, samples=1)

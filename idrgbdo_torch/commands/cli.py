@@ -13,9 +13,10 @@ from typing import Annotated
 import tyro
 from tyro.conf import subcommand
 
-from .. import __version__, configfile
+from .. import __version__
 from ..config import Config
 from ..errors import IdRgbdoError
+from ..text import configfile
 from ..text.plain import plain
 from .check import CheckCommand, check
 from .compare import CompareCommand, compare

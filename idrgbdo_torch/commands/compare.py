@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional, UseAppendAction
 
-from ..configfile import Count, Index
 from ..errors import IdRgbdoError
+from ..text.configfile import Count, Index
 
 if TYPE_CHECKING:
     from ..comparison import Comparison, Progress

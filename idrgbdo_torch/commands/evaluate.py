@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from ..configfile import Positive
+from ..text.configfile import Positive
 
 
 @dataclass(frozen=True)

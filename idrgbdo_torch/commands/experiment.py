@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from ..configfile import Count
 from ..errors import IdRgbdoError
+from ..text.configfile import Count
 
 if TYPE_CHECKING:
     from ..experiments.lab import Lab, Report

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from ..configfile import Count
 from ..errors import IdRgbdoError
+from ..text.configfile import Count
 from .input import Input, open_input
 from .video import _input_of
 

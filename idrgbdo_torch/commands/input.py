@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import FlagConversionOff, arg
 
 from ..config import Config
-from ..configfile import Count, Index, NonNegative, Positive
 from ..errors import IdRgbdoError
+from ..text.configfile import Count, Index, NonNegative, Positive
 
 if TYPE_CHECKING:
     from ..datasets import RgbdSequence

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from .. import configfile
 from ..config import Config
+from ..text import configfile
 from ..text.plain import plain
 from .input import Settings
 

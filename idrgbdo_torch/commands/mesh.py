@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from ..configfile import Count, Positive
+from ..text.configfile import Count, Positive
 from .input import Input, open_input
 
 if TYPE_CHECKING:

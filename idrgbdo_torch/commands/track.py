@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from .. import __version__, configfile, datasets, odometry
+from .. import __version__, datasets, odometry
 from ..config import Config
 from ..errors import IdRgbdoError
 from ..evaluation import Evaluation, hints
@@ -33,6 +33,7 @@ from ..runs.checkpoint import Checkpoints, Identity, State
 from ..runs.folder import RunFolder, believable, default_folder, is_refined, measurements
 from ..runs.source import Reading
 from ..runs.writing import write_whole
+from ..text import configfile
 from ..text.plain import plain
 from ..trajectory import Trajectory
 from .mesh import fuse_mesh

@@ -9,9 +9,9 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from .. import configfile
 from ..config import Config
 from ..errors import IdRgbdoError
+from ..text import configfile
 from .input import Input, Settings, open_input
 
 FPS = 30.0  # where the recording does not say

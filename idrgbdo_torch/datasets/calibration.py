@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import configfile
-from ..configfile import Count, Positive
 from ..definitions.camera import Pinhole
 from ..errors import IdRgbdoError
+from ..text import configfile
+from ..text.configfile import Count, Positive
 from .camera_files import camera_values, usual_file
 
 EXAMPLE = "`fx = 525.0`, `fy = 525.0`, `cx = 319.5`, `cy = 239.5`, `depth_scale = 1000.0` (depth values per metre)"

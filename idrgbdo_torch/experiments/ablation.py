@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from statistics import fmean, geometric_mean
 from typing import TYPE_CHECKING, Any
 
-from .. import configfile
 from ..config import Config
+from ..text import configfile
 from .drawing import SERIES, new_figure
 from .lab import Lab, Report, Table
 from .table1 import with_points

@@ -6,9 +6,9 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from .. import configfile
 from ..config import Config
 from ..errors import IdRgbdoError
+from ..text import configfile
 from .lab import find_clips, short_name
 from .relatives import RELATIVES
 from .rendering import plan_rendering, render_missing

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from .. import configfile
 from ..comparison.outcome import versions_of
 from ..config import Config
 from ..datasets import RgbdSequence, open_sequence
@@ -27,6 +26,7 @@ from ..frame import BrokenFrame, RgbdFrame
 from ..odometry import Odometry, Run, Status, run
 from ..runs.folder import is_refined, measurements, summarise
 from ..runs.machine import machine_name
+from ..text import configfile
 from ..tracker.tracking import motion_information
 
 OURS = "ours"

@@ -20,7 +20,6 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from .. import configfile
 from ..config import Config, KeyframeConfig, NoiseConfig, SelectionConfig, TrackingConfig, WindowConfig
 from ..definitions.camera import Pinhole
 from ..definitions.marginalization import LinearPrior
@@ -28,6 +27,7 @@ from ..errors import IdRgbdoError
 from ..frame import Frame, Keyframe
 from ..measurement import Noise, Points, WindowPoints, WindowSystem
 from ..odometry import ConstantVelocity, Odometry, Record, Status, TrackResult
+from ..text import configfile
 from ..tracker.backends import BACKENDS
 from ..tracker.features import Features
 from ..tracker.history import History

@@ -1,1 +1,1 @@
-"""Text from outside and for outside: small files in any encoding, units of times, trajectories, safe words."""
+"""Text from outside and for outside: small files in any encoding, settings, units of time, trajectories, safe words."""

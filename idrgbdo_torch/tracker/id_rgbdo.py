@@ -9,12 +9,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from .. import configfile
 from ..config import Config
 from ..frame import Frame, Keyframe, RgbdFrame, check_next, prepare
 from ..kernels.se3 import inverse
 from ..measurement import Noise, State, kernel_noise, with_blur
 from ..odometry import Status, TrackResult
+from ..text import configfile
 from ..trajectory import Trajectory
 from .alignment import align, displacement
 from .backends import backend_named

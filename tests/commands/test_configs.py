@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 from rendered import Film
 
-from idrgbdo_torch import IdRgbdo, Status, configfile
+from idrgbdo_torch import IdRgbdo, Status
 from idrgbdo_torch.config import Config
 from idrgbdo_torch.evaluation import absolute_error
+from idrgbdo_torch.text import configfile
 
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.toml"))
 by_name = pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)

@@ -15,12 +15,13 @@ from inspected import Inspected
 from rendered import Film
 from run_records import RUN
 
-from idrgbdo_torch import __version__, configfile
+from idrgbdo_torch import __version__
 from idrgbdo_torch.config import Config
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.evaluation import evaluate
 from idrgbdo_torch.odometry import ConstantVelocity, Run, run
 from idrgbdo_torch.runs.folder import COLUMNS, RunFolder, default_folder, measurements, summarise
+from idrgbdo_torch.text import configfile
 from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 from idrgbdo_torch.tracker.mapping import Cloud
 from idrgbdo_torch.trajectory import Trajectory, read_tum

@@ -36,7 +36,7 @@ def files_of_at_most(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.mark.parametrize("size", [900, 1000, 1100, 1500, 1777])
+@pytest.mark.parametrize("size", [2000, 2100, 2200, 2600, 2877])
 def test_where_the_disk_is_full_a_frame_stands_in_all_files_or_in_none(tmp_path: Path, size: int) -> None:
     with RunFolder(tmp_path / "run") as folder:
         count = 0

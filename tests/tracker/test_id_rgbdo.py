@@ -12,12 +12,12 @@ from rendered import Film, rotation_deg
 from torch import Tensor
 
 from idrgbdo_torch.config import Config, KeyframeConfig, NoiseConfig, SelectionConfig, WindowConfig
-from idrgbdo_torch.configfile import load
 from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.definitions.information import freedom_entropies_bits
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.evaluation import Evaluation, Measurement, evaluate
 from idrgbdo_torch.odometry import Run, Status, TrackResult, run
+from idrgbdo_torch.text.configfile import load
 from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 
 ROOT = Path(__file__).parents[2]

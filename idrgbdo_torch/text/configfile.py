@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from .errors import IdRgbdoError
+from ..errors import IdRgbdoError
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

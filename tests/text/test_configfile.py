@@ -9,10 +9,10 @@ from typing import Literal
 
 import pytest
 
-from idrgbdo_torch import configfile
 from idrgbdo_torch.config import Config
-from idrgbdo_torch.configfile import Count, Fraction, NonNegative, Positive
 from idrgbdo_torch.errors import IdRgbdoError
+from idrgbdo_torch.text import configfile
+from idrgbdo_torch.text.configfile import Count, Fraction, NonNegative, Positive
 
 
 @dataclass(frozen=True)
@@ -93,5 +93,5 @@ def test_check_finds_what_a_constructor_let_through() -> None:
 
 
 def test_shipped_configurations_load() -> None:
-    for path in sorted((Path(__file__).parent.parent / "configs").glob("*.toml")):
+    for path in sorted((Path(__file__).parents[2] / "configs").glob("*.toml")):
         configfile.check(configfile.load(path, Config()))
