@@ -66,7 +66,7 @@ class KeyframeConfig:
     """When a frame becomes a keyframe (section 5.1)."""
 
     criterion: Literal["bits", "ratio"] = "bits"  # log2(sigma / sigma_0), or Eq. 20 as printed
-    threshold_bits: Positive = 0.35
+    threshold_bits: Positive = 0.42
     threshold_ratio: Positive = 0.04
 
 
