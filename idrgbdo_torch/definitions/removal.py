@@ -7,8 +7,7 @@ from math import log
 import torch
 from torch import Tensor
 
-FLOOR = 1e-6  # of the largest link, so that a keyframe which the view does not see leaves a matrix to invert
-UNKNOWN = 1e-9  # of a unit diagonal, likewise for a pose that nothing measures
+from ..measurement import LINK_FLOOR, UNKNOWN
 
 
 def next_view_bits(information: Tensor, links: Tensor, adjoints: Tensor) -> Tensor:
@@ -29,7 +28,7 @@ def next_view_bits(information: Tensor, links: Tensor, adjoints: Tensor) -> Tens
     unit = scale[:, None] * information * scale
     covariance = scale[:, None] * torch.linalg.inv(unit + UNKNOWN * torch.eye(6 * K).to(unit)) * scale
     moved = _blocks(adjoints)
-    floor = FLOOR * links.diagonal(dim1=1, dim2=2).amax(0)
+    floor = LINK_FLOOR * links.diagonal(dim1=1, dim2=2).amax(0)
     placings = moved @ covariance @ moved.mT + _blocks(torch.linalg.inv(links + torch.diag(floor)))
     unit = placings.diagonal().rsqrt()
     W = (unit[:, None] * torch.linalg.inv(unit[:, None] * placings * unit) * unit).reshape(K, 6, K, 6)

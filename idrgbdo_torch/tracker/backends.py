@@ -110,6 +110,9 @@ class Backend(Protocol):
     def redundancy(self, information: Array) -> Array:
         """Eq. 26: psi (K,) in bits of keyframe poses with the information (6K, 6K)."""
 
+    def next_view_bits(self, information: Array, links: Array, adjoints: Array) -> Array:
+        """What the next view would lose with each keyframe (K,), in bits."""
+
 
 BACKENDS: dict[BackendName, Backend] = {"fused": Fused(), "torch": Defined()}
 

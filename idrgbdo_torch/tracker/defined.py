@@ -12,6 +12,7 @@ from ..definitions.camera import Pinhole
 from ..definitions.information import freedom_entropies_bits
 from ..definitions.linearise import robust_scale
 from ..definitions.marginalization import LinearPrior
+from ..definitions.removal import next_view_bits
 from ..definitions.selection import select_by_definition, whitened_rows
 from ..measurement import (
     Agreement,
@@ -103,3 +104,7 @@ class Defined:
     def redundancy(self, information: Array) -> Array:
         psi: Array = marginalization.redundancy_bits(torch.from_numpy(information)).numpy()
         return psi
+
+    def next_view_bits(self, information: Array, links: Array, adjoints: Array) -> Array:
+        bits: Array = next_view_bits(*(torch.from_numpy(x) for x in (information, links, adjoints))).numpy()
+        return bits

@@ -12,7 +12,7 @@ from ..definitions import marginalization as defined
 from ..definitions.camera import Pinhole
 from ..definitions.marginalization import LinearPrior
 from ..definitions.selection import select_by_definition
-from ..kernels import candidates, marginalization, selection, tracking, verification, window
+from ..kernels import candidates, marginalization, removal, selection, tracking, verification, window
 from ..kernels import information as entropies
 from ..measurement import (
     Agreement,
@@ -120,3 +120,6 @@ class Fused:
     def redundancy(self, information: Array) -> Array:
         ok, psi = marginalization.redundancy(information)
         return psi if ok else defined.redundancy_bits(torch.from_numpy(information)).numpy()
+
+    def next_view_bits(self, information: Array, links: Array, adjoints: Array) -> Array:
+        return removal.next_view_bits(information, links, adjoints)

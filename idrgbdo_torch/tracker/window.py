@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ..config import Config
 from ..definitions.marginalization import LinearPrior, prior_cost, prior_gradient
-from ..definitions.removal import next_view_bits
 from ..frame import Keyframe
 from ..kernels.se3 import adjoint, inverse, log_se3, retract
 from ..kernels.solver import solve_spd
@@ -183,8 +182,7 @@ class Window:
         links = -blocks @ np.linalg.inv(adjoints)
         links[-1] = links[-2]
         links = 0.5 * (links + links.transpose(0, 2, 1))
-        bits = next_view_bits(torch.from_numpy(information), torch.from_numpy(links), torch.from_numpy(adjoints))
-        return np.asarray(bits)
+        return self.backend.next_view_bits(information, links, adjoints)
 
     def marginalise(self, k: int) -> None:
         """Replace a keyframe's points, then the keyframe itself, by a linear prior on the others (Eqs. 21 to 25)."""
