@@ -88,3 +88,34 @@ def late_depth(count: int) -> Callable[[Frames], Frames]:
         return [replace(frames[index], depth=frames[index - count].depth) for index in span]
 
     return shift
+
+
+def cut_to(others: Frames, at: int) -> Callable[[Frames], Frames]:
+    """From a frame on, the images of another scene."""
+    return lambda frames: (
+        frames[:at]
+        + [replace(other, timestamp=frame.timestamp) for frame, other in zip(frames[at:], others[at:], strict=True)]
+    )
+
+
+def seen_by(wider: Frames) -> Callable[[Frames], Frames]:
+    """Depth as another camera at the same place sees it, taken for colour's."""
+    return lambda frames: [replace(frame, depth=wide.depth) for frame, wide in zip(frames, wider, strict=True)]
+
+
+def covered(share: float, step: int) -> Callable[[Frames], Frames]:
+    """A textured board 0.8 m away before the left share of the view, that moves by `step` px a frame."""
+
+    def cover(frames: Frames) -> Frames:
+        height, width = frames[0].gray.shape
+        noise = np.random.default_rng(5).uniform(20, 235, (height // 8, 2 * width // 8)).astype(np.float32)
+        board = np.kron(noise, np.ones((8, 8), np.float32))
+        part, out = round(share * width), []
+        for number, frame in enumerate(frames):
+            gray, depth = frame.gray.clone(), frame.depth.clone()
+            gray[:, :part] = torch.from_numpy(np.roll(board, step * number, axis=1)[:height, :part].copy())
+            depth[:, :part] = 0.8
+            out.append(replace(frame, gray=gray, depth=depth, color=None))
+        return out
+
+    return cover

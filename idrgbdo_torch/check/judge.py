@@ -14,6 +14,7 @@ import numpy as np
 from ..datasets.depth_scale import USUAL_M, scale_doubt
 from .edges import CONTRAST, STRONG
 from .findings import Finding, Verdict
+from .judge_scene import another_view, cut, moving, still
 
 if TYPE_CHECKING:
     from .measured import Measured
@@ -48,6 +49,9 @@ def findings(measured: Measured) -> list[Finding]:
         _offset(measured),
         _intrinsics(measured),
         _overlap(measured),
+        cut(measured.tracks),
+        still(measured.tracks),
+        moving(measured.motions_apart),
         _blur(measured),
         _brightness(measured),
         _reference(measured),
@@ -141,6 +145,8 @@ def _scale_advice(factor: float) -> str:
 
 def _registration(m: Measured) -> Finding:
     name, edges = "colour on depth", m.edges
+    if edges.strength < STRONG and m.view is not None:
+        return another_view(name, m.view, m.camera)
     if edges.strength < STRONG:
         return Finding(name, Verdict.UNKNOWN, "too few edges in depth to tell", "film objects in front of others")
     right, down = edges.shift

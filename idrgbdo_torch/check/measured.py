@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ..definitions.camera import Pinhole
 from .calibration import SelfCalibration
@@ -10,8 +10,10 @@ from .edges import EdgeFit
 from .images import ImageStatistics
 from .motion import ReferenceMotion
 from .samples import Sample
+from .scene import TwoMotions
 from .timing import Lists, Timing
 from .tracks import Tracks
+from .view import ViewFit
 
 
 @dataclass(frozen=True)
@@ -31,3 +33,5 @@ class Measured:
     motion: ReferenceMotion | None
     shown: Sample | None  # the frame for the picture: most depth edges
     depth_scale: float | None = None  # depth values per metre, where the sequence tells
+    view: ViewFit | None = None  # asked for only where colour and depth agree at no shift
+    motions_apart: list[TwoMotions] = field(default_factory=list)  # of the pairs that can tell

@@ -12,14 +12,16 @@ from ..datasets import RgbdSequence
 from ..trajectory import Trajectory
 from . import judge
 from .calibration import SelfCalibration, self_calibrate
-from .edges import EdgeSums
+from .edges import STRONG, EdgeSums
 from .findings import Finding, Verdict
 from .images import ImageStatistics, statistics
 from .measured import Measured
 from .motion import ReferenceMotion, reference_motion
 from .samples import read_runs, spread
+from .scene import two_motions
 from .timing import lists, timing
 from .tracks import Tracks
+from .view import Views
 
 EVERY = 4  # sampled frames between two whose images are measured
 
@@ -46,11 +48,13 @@ def check(
     frame looked at.
     """
     edges, tracks, images, broken = EdgeSums(), Tracks(), list[ImageStatistics](), list[str]()
+    views = Views()
     shown, most, sampled = None, -1.0, 0
     for run in read_runs(sequence, broken):
         pixels = edges.pixels
         edges.add(run)
         tracks.add(run)
+        views.add(run)
         images += [statistics(sample) for sample in run[::EVERY]]
         if run and edges.pixels - pixels > most:
             shown, most = run[len(run) // 2], edges.pixels - pixels
@@ -58,6 +62,7 @@ def check(
             on_frame("")
         sampled += len(run)
     calibration = self_calibrate(tracks.pairs, sequence.camera)
+    edge_fit = edges.fit()
     measured = Measured(
         camera=sequence.camera,
         frames=len(sequence),
@@ -66,12 +71,14 @@ def check(
         lists=None if folder is None else lists(folder),
         timing=timing(sequence.timestamps),
         images=images,
-        edges=edges.fit(),
+        edges=edge_fit,
         tracks=tracks,
         calibration=calibration,
         motion=_motion(sequence.groundtruth, sequence.timestamps, calibration),
         shown=shown,
         depth_scale=getattr(sequence, "depth_scale", None),
+        view=views.fit() if edge_fit.strength < STRONG else None,
+        motions_apart=[m for pair in tracks.pairs if (m := two_motions(pair, sequence.camera)) is not None],
     )
     return Report(judge.findings(measured), measured)
 

@@ -40,6 +40,7 @@ class Tracks:
     pairs: list[Pair] = field(default_factory=list)
     flow: list[float] = field(default_factory=list)  # px, median between neighbouring frames
     kept: list[float] = field(default_factory=list)  # share of corners found again in the next frame
+    found_at: list[int] = field(default_factory=list)  # number of that next frame, for each of `kept`
 
     def add(self, run: list[Sample]) -> None:
         """Follow corners through a run of neighbouring frames; anew once too few are left, or after SPAN frames."""
@@ -50,6 +51,7 @@ class Tracks:
                 moved, found = follow(run[number - 1].gray, sample.gray, uv)
                 if len(found):
                     self.kept.append(float(found.mean()))
+                    self.found_at.append(sample.index)
                 if found.any():
                     self.flow.append(float(np.median(np.linalg.norm(moved - uv, axis=1)[found])))
                 uv_start, uv = uv_start[found], moved[found]

@@ -56,7 +56,8 @@ def _show(title: str, report: Report) -> None:
     if not sys.stdout.isatty():
         print(f"{plain(title)}, {report.measured.sampled} of {report.measured.frames} frames looked at")
         for finding in report.findings:
-            print(f"  {finding.verdict.value:<8}{finding.name:<21}{plain(_text(finding, '; '))}")
+            text = "\n    ".join(map(plain, _text(finding, "; ").splitlines()))
+            print(f"  {finding.verdict.value:<8}{finding.name:<21}{text}")
         print(plain(verdict))
         return
     from rich.console import Console
