@@ -104,11 +104,11 @@ def seen_by(wider: Frames) -> Callable[[Frames], Frames]:
 
 
 def covered(share: float, step: int) -> Callable[[Frames], Frames]:
-    """A textured board 0.8 m away before the left share of the view, that moves by `step` px a frame."""
+    """A faintly textured board 0.8 m away before the left share of the view, that moves by `step` px a frame."""
 
     def cover(frames: Frames) -> Frames:
         height, width = frames[0].gray.shape
-        noise = np.random.default_rng(5).uniform(20, 235, (height // 8, 2 * width // 8)).astype(np.float32)
+        noise = np.random.default_rng(5).uniform(115, 140, (height // 8, 2 * width // 8)).astype(np.float32)
         board = np.kron(noise, np.ones((8, 8), np.float32))
         part, out = round(share * width), []
         for number, frame in enumerate(frames):

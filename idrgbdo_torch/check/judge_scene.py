@@ -17,7 +17,7 @@ from .view import ViewFit
 
 CUT_KEPT, AROUND_KEPT = 0.1, 0.6  # share of corners found again across a cut at most, on both sides of it at least
 STILL_PX, STILL_SHARE = 0.3, 0.5  # motion in the image, share of the frames
-APART_SHARE, APART_PAIRS, FEWEST_PAIRS = 0.2, 0.33, 2  # of the corners; of the pairs of frames; pairs
+APART_SHARE, APART_PAIRS, FEWEST_PAIRS = 0.25, 0.33, 2  # of the corners; of the pairs of frames; pairs
 
 
 def another_view(name: str, view: ViewFit, camera: Pinhole) -> Finding:

@@ -10,7 +10,7 @@ import numpy as np
 from ..definitions.camera import Pinhole
 from .tracks import Array, Pair
 
-FEWEST = 30  # corners of a motion of its own
+FEWEST = 15  # corners of a motion of its own
 RANSAC_PX, RANSAC_ROUNDS, SEED = 3.0, 200, 0
 
 
