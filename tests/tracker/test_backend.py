@@ -17,7 +17,7 @@ from tracking_cases import CONFIG, FUSED, NOISE, PRIOR, TORCH, Case, make_cases
 from window_cases import Desk, make_desk
 
 from idrgbdo_torch import IdRgbdo, Status, run
-from idrgbdo_torch.config import Config, Mode
+from idrgbdo_torch.config import Config, KeyframeConfig, Mode
 from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.frame import prepare
 from idrgbdo_torch.kernels import candidates, information, marginalization, selection, tracking, verification, window
@@ -331,7 +331,8 @@ def test_recovery_is_the_same(sequence: Film) -> None:
 def test_smaller_patches_are_smaller_everywhere_and_the_same(sequence: Film, patch: int, limit: float) -> None:
     """`tracking.patch` reaches candidates, window and noise of both backends."""
     frames = sequence.frames[:16]
-    small = replace(Config(), tracking=replace(Config().tracking, patch=patch))
+    often = KeyframeConfig(threshold_bits=0.3)  # so that the window has something to do
+    small = replace(Config(), tracking=replace(Config().tracking, patch=patch), keyframe=often)
     odometry = IdRgbdo(small)
     fused, mine = run(odometry, frames), run(IdRgbdo(replace(small, backend="torch")), frames)
     assert sum(record.result.keyframe for record in fused.records) >= 2
@@ -339,5 +340,5 @@ def test_smaller_patches_are_smaller_everywhere_and_the_same(sequence: Film, pat
     assert off.max() < limit
     assert odometry.reference is not None and odometry.reference.keyframe.points.patch.shape[2] == patch
     assert odometry.window.members.points().patch.shape[2] == patch and odometry.noise.shared == patch
-    whole = run(IdRgbdo(), frames).trajectory().positions
+    whole = run(IdRgbdo(replace(Config(), keyframe=often)), frames).trajectory().positions
     assert 1e-5 < float((fused.trajectory().positions - whole).norm(dim=1).max()) < 0.01
