@@ -181,8 +181,12 @@ class Window:
         blocks = self.system.H.reshape(K, STEP, K, STEP)[-1, :6, :, :6].transpose(1, 0, 2)
         links = -blocks @ np.linalg.inv(adjoints)
         links[-1] = links[-2]
-        links = 0.5 * (links + links.transpose(0, 2, 1))
-        return self.backend.next_view_bits(information, links, adjoints)
+        values, vectors = np.linalg.eigh(0.5 * (links + links.transpose(0, 2, 1)))
+        links = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.transpose(
+            0, 2, 1
+        )  # by rounding they may fall short
+        bits = self.backend.next_view_bits(information, links, adjoints)
+        return np.where(np.isfinite(bits), bits, 0.0)
 
     def marginalise(self, k: int) -> None:
         """Replace a keyframe's points, then the keyframe itself, by a linear prior on the others (Eqs. 21 to 25)."""
