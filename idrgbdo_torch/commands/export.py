@@ -10,8 +10,7 @@ from tyro.conf import Positional
 
 from ..errors import IdRgbdoError
 from ..text.configfile import Count
-from .input import Input, open_input
-from .video import _input_of
+from .input import Input, input_of_run, open_input
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -83,7 +82,7 @@ def write_odometry(
 
 def _recording_of(run: TrackedRun) -> RgbdSequence:
     """What a run tracked, with the same frames."""
-    sequence, options = _input_of(run.folder, Input())
+    sequence, options = input_of_run(run.folder, Input())
     recording = open_input(sequence, options)
     run.check_times(recording.timestamps)
     return recording

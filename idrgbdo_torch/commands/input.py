@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -75,3 +75,23 @@ def reference_of(path: Path) -> Trajectory:
 def file_in(path: Path, name: str) -> Path:
     """The file itself, or the one of that name in a folder."""
     return path / name if path.is_dir() else path
+
+
+def input_of_run(run: Path, options: Input) -> tuple[Path, Input]:
+    """What a run tracked and how it was read, up to the last frame that it tracked."""
+    from ..runs.source import recall
+    from ..trajectory import read_tum
+
+    if replace(options, max_frames=None) != Input():
+        raise IdRgbdoError("source: a run is filmed as it was read; only --max-frames may be given")
+    sequence, values = recall(run)
+    tracked = len(read_tum(run / "trajectory.txt"))
+    try:
+        for name in ("camera", "associations"):
+            values[name] = Path(values[name]) if values.get(name) else None
+        frames = {"max_frames": min(tracked, options.max_frames or tracked)}
+        return sequence, replace(options, **values | frames)
+    except TypeError as error:
+        raise IdRgbdoError(
+            f"source: what '{run}' tracked is of another version ({error}); name the recording"
+        ) from error

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 from typing import Annotated
@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 from ..config import Config
 from ..errors import IdRgbdoError
 from ..text import configfile
-from .input import Input, Settings, open_input
+from .input import Input, Settings, input_of_run, open_input
 
 FPS = 30.0  # where the recording does not say
 
@@ -42,7 +42,7 @@ def video(command: VideoCommand) -> int:
             raise IdRgbdoError("settings: a run is filmed with its own; leave them out, or name the recording instead")
         settings = configfile.load(command.source / "config.toml", Config())
         out = out or command.source / "video.mp4"
-        sequence, options = _input_of(command.source, options)
+        sequence, options = input_of_run(command.source, options)
     recording = open_input(sequence, options)
     out = out or Path("runs") / recording.name / "video.mp4"
     gaps = [b - a for a, b in zip(recording.timestamps, recording.timestamps[1:], strict=False) if b > a]
@@ -54,23 +54,3 @@ def video(command: VideoCommand) -> int:
         raise IdRgbdoError(f"source: no frame of '{sequence}' could be read; try idrgbdo check")
     show_table(recording.name, [("frames", str(count)), ("frames per second", f"{fps:.1f}"), ("video", str(out))])
     return 0
-
-
-def _input_of(run: Path, options: Input) -> tuple[Path, Input]:
-    """What a run tracked and how it was read, up to the last frame that it tracked."""
-    from ..runs.source import recall
-    from ..trajectory import read_tum
-
-    if replace(options, max_frames=None) != Input():
-        raise IdRgbdoError("source: a run is filmed as it was read; only --max-frames may be given")
-    sequence, values = recall(run)
-    tracked = len(read_tum(run / "trajectory.txt"))
-    try:
-        for name in ("camera", "associations"):
-            values[name] = Path(values[name]) if values.get(name) else None
-        frames = {"max_frames": min(tracked, options.max_frames or tracked)}
-        return sequence, replace(options, **values | frames)
-    except TypeError as error:
-        raise IdRgbdoError(
-            f"source: what '{run}' tracked is of another version ({error}); name the recording"
-        ) from error
