@@ -25,25 +25,31 @@ def sample(image, u, v):
     i01 = np.float64(image[iv, iu + one])
     i10 = np.float64(image[iv + one, iu])
     i11 = np.float64(image[iv + one, iu + one])
+    left = (np.float64(image[iv, iu - one]), np.float64(image[iv + one, iu - one]))
+    right = (np.float64(image[iv, iu + two]), np.float64(image[iv + one, iu + two]))
+    up = (np.float64(image[iv - one, iu]), np.float64(image[iv - one, iu + one]))
+    down = (np.float64(image[iv + two, iu]), np.float64(image[iv + two, iu + one]))
+    value, g_u, g_v = interpolate((i00, i01, i10, i11, *left, *right, *up, *down), fu, fv)
+    return True, value, g_u, g_v
+
+
+@kernel
+def interpolate(around, fu, fv):
+    """Bilinear value and gradient from twelve pixels: the four of the cell, then two left, right, above and below it.
+
+    The gradient is half the difference of the bilinear samples one pixel to either side.
+    """
+    i00, i01, i10, i11, left0, left1, right0, right1, up0, up1, down0, down1 = around
     top = i00 + fu * (i01 - i00)
     bottom = i10 + fu * (i11 - i10)
     value = top + fv * (bottom - top)
-    # gradient: half the difference of the bilinear samples one pixel to either side
-    left0 = np.float64(image[iv, iu - one])
-    left1 = np.float64(image[iv + one, iu - one])
-    right0 = np.float64(image[iv, iu + two])
-    right1 = np.float64(image[iv + one, iu + two])
     g_top = (1.0 - fu) * (i01 - left0) + fu * (right0 - i00)
     g_bottom = (1.0 - fu) * (i11 - left1) + fu * (right1 - i10)
     g_u = 0.5 * (g_top + fv * (g_bottom - g_top))
-    up0 = np.float64(image[iv - one, iu])
-    up1 = np.float64(image[iv - one, iu + one])
-    down0 = np.float64(image[iv + two, iu])
-    down1 = np.float64(image[iv + two, iu + one])
     g_left = (1.0 - fv) * (i10 - up0) + fv * (down0 - i00)
     g_right = (1.0 - fv) * (i11 - up1) + fv * (down1 - i01)
     g_v = 0.5 * (g_left + fu * (g_right - g_left))
-    return True, value, g_u, g_v
+    return value, g_u, g_v
 
 
 @kernel
