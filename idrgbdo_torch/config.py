@@ -76,7 +76,7 @@ class WindowConfig:
 
     enabled: bool = True
     keyframes: Annotated[int, Bounds(3, 64)] = 8
-    points: Index = 0  # per keyframe; 0: as many as selection.points, at most 96
+    points: Index = 96  # refined of each keyframe; 0: as many as selection.points
     first_estimates: bool = True  # geometric Jacobians of variables in the prior stay where they were first taken
     removal: Literal["view", "information", "oldest"] = "view"  # who tells the next view least; Eq. 26; the oldest
 
@@ -101,4 +101,4 @@ class Config:
     @property
     def window_points(self) -> int:
         """Points of a keyframe in the window."""
-        return self.window.points or min(self.selection.points, 96)
+        return self.window.points or self.selection.points

@@ -28,7 +28,7 @@ def linearise_window(
     views: Views,
     state: WindowState,
     points: WindowPoints,
-    hosts: Array,
+    pairs: Array,
     limit: float,
     noise: Noise,
     system: WindowSystem,
@@ -43,9 +43,10 @@ def linearise_window(
     gray, z = torch.from_numpy(views.images)[at], torch.from_numpy(views.depths)[at].double()
     inverse_depth = torch.where(z > 0, 1 / z, 0.0)  # (K, H, W)
     uv, patch, gradient, measured, variance, valid, slope = (torch.from_numpy(x) for x in points)
-    takes_part = valid & torch.from_numpy(hosts)[:, None]  # (K, N)
+    chosen = torch.from_numpy(pairs)
+    takes_part = valid & chosen.diagonal()[:, None]  # (K, N), with its own sensor
     inv_depth = torch.from_numpy(state.inv_depth)
-    usable = takes_part & (inv_depth > 1e-3)
+    usable = valid & (inv_depth > 1e-3)
     d = torch.where(usable, inv_depth, 1.0).expand(K, K, N)
     pixel = uv.expand(K, K, N, 2)
     brightness = torch.from_numpy(state.affine)
@@ -67,7 +68,7 @@ def linearise_window(
         sigma_intensity=float(sigma.sigma_intensity), sigma_pixel=float(sigma.sigma_pixel),
     )  # fmt: skip
     weight = 1 / residual_variance(h, phi)  # (K, K, N, P)
-    other = ~torch.eye(K, dtype=torch.bool)[..., None]
+    other = (chosen.mT & ~torch.eye(K, dtype=torch.bool))[..., None]  # (target, host, 1)
     seen = term.valid & front & usable & other
     s = term.r * weight.sqrt()
     size = s.square().mean(-1).sqrt()

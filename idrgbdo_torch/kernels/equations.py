@@ -42,7 +42,7 @@ def new_equations():
 @kernel
 def pose_jacobians(camera, room, jacobians):
     """Fill duv/d[v, w] of a left increment, where the points are in the target."""
-    fx, fy, cx, cy = camera
+    fx, fy = camera[0], camera[1]
     rows = room.points
     for n in range(room.lanes):
         x, y, rho = rows[at.X + n], rows[at.Y + n], rows[at.RHO + n]

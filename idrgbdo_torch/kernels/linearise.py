@@ -23,15 +23,15 @@ def linearise(view, level, points, subset, state, scale, limit, noise, system):
     index, count = subset.which, subset.pixels
     rms = system.rms
     bright = Brightness(exp(state.affine[0]), 0.0, state.affine[1], 1.0 / (scale * scale))
-    whole = new_room()
+    whole = new_room(count)
     equations = new_equations()
     energy = 0.0
     seen = 0
     kept = 0
     for first in range(0, index.shape[0], LANES):
         room = lanes_for(whole, index.shape[0] - first)
-        host_rows(points, index, first, level, count, room)
-        patch_sums(image, camera, state.T, count, bright, noise, room)
+        host_rows(points, index, first, level, room)
+        patch_sums(image, camera, state.T, bright, noise, room)
         rows = room.points
         for n in range(min(room.lanes, index.shape[0] - first)):
             rms[first + n] = -1.0
@@ -57,7 +57,7 @@ def linearise(view, level, points, subset, state, scale, limit, noise, system):
 
 
 @kernel
-def host_rows(points, index, first, level, count, room):
+def host_rows(points, index, first, level, room):
     """Fill what a keyframe's points, some of index from first, say of themselves on a level."""
     rows, pixels = room.points, room.pixels
     size = 0.5**level
@@ -70,7 +70,7 @@ def host_rows(points, index, first, level, count, room):
         rows[at.VAR_D + n] = points.var_inv_depth[p]
         rows[at.SLOPE_U + n] = points.slope[p, 0] / size
         rows[at.SLOPE_V + n] = points.slope[p, 1] / size
-        for k in range(count):
+        for k in range(room.used):
             row = at.PIXEL_ROWS * k + n
             pixels[at.VALUE + row] = points.patch[level, p, k]
             pixels[at.GRADIENT_U + row] = points.gradient[level, p, k, 0]

@@ -43,6 +43,7 @@ class Room(NamedTuple):
     pixels: Array  # (PIXELS PIXEL_ROWS,) float32
     places: Array  # (2 PIXELS LANES,) px
     lanes: int  # that are in use; a number that the compiler does not know, or it would take them one by one
+    used: int  # pixels of the pattern that take part
 
 
 class Brightness(NamedTuple):
@@ -55,28 +56,30 @@ class Brightness(NamedTuple):
 
 
 @kernel
-def new_room():
-    """Room for LANES points."""
-    return Room(np.zeros(POINT_ROWS), np.zeros(PIXELS * PIXEL_ROWS, np.float32), np.zeros(2 * PIXELS * LANES), LANES)
+def new_room(count):
+    """Room for LANES points, of which so many pixels take part."""
+    return Room(
+        np.zeros(POINT_ROWS), np.zeros(PIXELS * PIXEL_ROWS, np.float32), np.zeros(2 * PIXELS * LANES), LANES, count
+    )
 
 
 @kernel
 def lanes_for(room, points):
     """The same room with lanes enough for so many points, or all that it has."""
-    return Room(room.points, room.pixels, room.places, min(LANES, (points + 3) // 4 * 4))
+    return Room(room.points, room.pixels, room.places, min(LANES, (points + 3) // 4 * 4), room.used)
 
 
 @kernel
-def patch_sums(image, camera, T, count, bright, noise, room):
+def patch_sums(image, camera, T, bright, noise, room):
     """Fill all rows that the caller has not: what LANES points of a host tell about a target.
 
-    image (H, W), camera (fx, fy, cx, cy) of it; T: T_target_host; count: pixels of the pattern that take part.
+    image (H, W), camera (fx, fy, cx, cy) of it; T: T_target_host.
     """
     place(camera, T, noise, room.points, room.lanes)
-    project(image, camera, T, count, room)
-    gather(image, count, room)
+    project(image, camera, T, room)
+    gather(image, room)
     room.points[SUMS:] = 0.0
-    for k in range(count):
+    for k in range(room.used):
         add_pixel(k, bright, noise, room)
 
 
@@ -121,7 +124,7 @@ def place_again(camera, T, points, lanes):
 
 
 @kernel
-def project(image, camera, T, count, room):
+def project(image, camera, T, room):
     """Where the pixels fall; a point is seen where all of them can be sampled."""
     points, places, lanes = room.points, room.places, room.lanes
     fx, fy, cx, cy = camera
@@ -130,7 +133,7 @@ def project(image, camera, T, count, room):
     xu, yu, zu = T[0, 0] / fx, T[1, 0] / fx, T[2, 0] / fx
     xv, yv, zv = T[0, 1] / fy, T[1, 1] / fy, T[2, 1] / fy
     xd, yd, zd = T[0, 3], T[1, 3], T[2, 3]
-    for k in range(count):
+    for k in range(room.used):
         a, b = PATTERN_U[k], PATTERN_V[k]
         row = LANES * k
         for n in range(lanes):
@@ -146,14 +149,14 @@ def project(image, camera, T, count, room):
 
 
 @kernel
-def gather(image, count, room):
+def gather(image, room):
     """Copy the target around each pixel; what is left of the places is the fractions."""
-    points, pixels, places, lanes = room
+    points, pixels, places, lanes = room.points, room.pixels, room.places, room.lanes
     one, two = np.uint64(1), np.uint64(2)  # unsigned: no check for negative indices
     for n in range(lanes):
         if points[SEEN + n] == 0.0:
             continue
-        for k in range(count):
+        for k in range(room.used):
             at = LANES * k + n
             u, v = places[AT_U + at], places[AT_V + at]
             iu, iv = np.uint64(u), np.uint64(v)
@@ -181,15 +184,18 @@ def add_pixel(k, bright, noise, room):
     The variance comes from the host's gradient: it must not change with the pose, or the cost would reward places where
     the residual is merely less certain.
     """
-    points, pixels, places, lanes = room
+    points, pixels, places, lanes = room.points, room.pixels, room.places, room.lanes
     blend, huber = noise.gradient_blend, noise.huber
     for n in range(lanes):
         at = PIXEL_ROWS * k + n
         to = AROUND + at
         around = (
-            np.float64(pixels[to]), np.float64(pixels[to + LANES]), np.float64(pixels[to + 2 * LANES]), np.float64(pixels[to + 3 * LANES]),
-            np.float64(pixels[to + 4 * LANES]), np.float64(pixels[to + 5 * LANES]), np.float64(pixels[to + 6 * LANES]), np.float64(pixels[to + 7 * LANES]),
-            np.float64(pixels[to + 8 * LANES]), np.float64(pixels[to + 9 * LANES]), np.float64(pixels[to + 10 * LANES]), np.float64(pixels[to + 11 * LANES]),
+            np.float64(pixels[to]), np.float64(pixels[to + LANES]),
+            np.float64(pixels[to + 2 * LANES]), np.float64(pixels[to + 3 * LANES]),
+            np.float64(pixels[to + 4 * LANES]), np.float64(pixels[to + 5 * LANES]),
+            np.float64(pixels[to + 6 * LANES]), np.float64(pixels[to + 7 * LANES]),
+            np.float64(pixels[to + 8 * LANES]), np.float64(pixels[to + 9 * LANES]),
+            np.float64(pixels[to + 10 * LANES]), np.float64(pixels[to + 11 * LANES]),
         )  # fmt: skip
         value, gu, gv = interpolate(around, places[AT_U + LANES * k + n], places[AT_V + LANES * k + n])
         reference = bright.gain * (np.float64(pixels[VALUE + at]) - bright.before)

@@ -25,10 +25,11 @@ from .solver import dot, multiply
 
 
 @kernel
-def linearise_window(views, state, points, hosts, limit, noise, system):
+def linearise_window(views, state, points, pairs, limit, noise, system):
     """Normal equations of the window: views Views, state WindowState, points WindowPoints; fills a WindowSystem.
 
-    hosts (K,) bool: whose points take part. limit: of a point's rms. Returns the energy.
+    pairs (K, K) bool: which hosts' points take part against which targets, on the diagonal with their own sensor's
+    measurement. limit: of a point's rms. Returns the energy.
     """
     T_cam_world, T_linear, affine = state.T, state.T_linear, state.affine
     K, N = state.inv_depth.shape
@@ -39,20 +40,21 @@ def linearise_window(views, state, points, hosts, limit, noise, system):
     system.cross[:] = 0.0
     system.rms[:] = -1.0
     chunks = (N + LANES - 1) // LANES
-    whole = new_room()
+    whole = new_room(points.patch.shape[2])
     rows = np.zeros((chunks, whole.points.shape[0]))
     pixels = np.zeros((chunks, whole.pixels.shape[0]), np.float32)
     chain = np.zeros((STEP, STEP))  # increments of the relative state by those of the host
     energy = 0.0
     for host in range(K):
-        if not hosts[host]:
+        if not pairs[host].any():
             continue
-        energy += own_sensor(points, state.inv_depth, host, system)
+        if pairs[host, host]:
+            energy += own_sensor(points, state.inv_depth, host, system)
         for chunk in range(chunks):
-            room = Room(rows[chunk], pixels[chunk], whole.places, LANES)
+            room = Room(rows[chunk], pixels[chunk], whole.places, LANES, whole.used)
             host_rows(points, state.inv_depth, host, chunk * LANES, room)
         for target in range(K):
-            if target == host:
+            if target == host or not pairs[host, target]:
                 continue
             T = multiply(T_cam_world[target], inverse(T_cam_world[host]))
             T0 = multiply(T_linear[target], inverse(T_linear[host]))
@@ -63,7 +65,7 @@ def linearise_window(views, state, points, hosts, limit, noise, system):
             bright = Brightness(gain, affine[host, 1], affine[target, 1], 1.0)
             equations = new_equations()
             for chunk in range(chunks):
-                room = lanes_for(Room(rows[chunk], pixels[chunk], whole.places, LANES), N - chunk * LANES)
+                room = lanes_for(Room(rows[chunk], pixels[chunk], whole.places, LANES, whole.used), N - chunk * LANES)
                 pair = (host, target, chunk * LANES)
                 energy += linearise_pair(views, (T, T0), bright, pair, limit, noise, room, equations, system)
                 add_cross(pair, room, equations.jacobians, chain, system)
@@ -97,7 +99,7 @@ def host_rows(points, inv_depth, host, first, room):
         rows[at.U + n], rows[at.V + n] = points.uv[host, p, 0], points.uv[host, p, 1]
         rows[at.D + n] = d
         rows[at.SLOPE_U + n], rows[at.SLOPE_V + n] = points.slope[host, p, 0], points.slope[host, p, 1]
-        for k in range(points.patch.shape[2]):
+        for k in range(room.used):
             row = at.PIXEL_ROWS * k + n
             pixels[at.VALUE + row] = points.patch[host, p, k]
             pixels[at.GRADIENT_U + row] = points.gradient[host, p, k, 0]
@@ -111,18 +113,18 @@ def linearise_pair(views, poses, bright, pair, limit, noise, room, equations, sy
     poses: T_target_host (4, 4) where residuals are taken, and where Jacobians are; pair: host, target, first point.
     """
     host, target, first = pair
-    slot, cam, count = views.slots[target], views.camera, room.pixels.shape[0] // at.PIXEL_ROWS
+    slot, cam = views.slots[target], views.camera
     camera = (cam[0], cam[1], cam[2], cam[3])
-    patch_sums(views.images[slot], camera, poses[0], count, bright, noise, room)
+    patch_sums(views.images[slot], camera, poses[0], bright, noise, room)
     rows, jacobians = room.points, equations.jacobians
     energy = 0.0
     for n in range(min(room.lanes, system.rms.shape[1] - first)):
         if rows[at.SEEN + n] == 0.0:
             continue
-        point = sqrt(rows[at.SQUARES + n] / count)
+        point = sqrt(rows[at.SQUARES + n] / room.used)
         system.rms[host, first + n, target] = point
         if point > limit:
-            energy += limit * limit * count
+            energy += limit * limit * room.used
             rows[at.SEEN + n] = 0.0
         else:
             energy += rows[at.ENERGY + n]

@@ -97,7 +97,7 @@ class Backend(Protocol):
         """Of whitened residuals (N,), -1 unseen."""
 
     def linearise_window(
-        self, views: Views, state: WindowState, points: WindowPoints, hosts: Array, limit: float, noise: Noise
+        self, views: Views, state: WindowState, points: WindowPoints, pairs: Array, limit: float, noise: Noise
     ) -> tuple[float, WindowSystem]:
         """Energy and normal equations of a window."""
 

@@ -90,10 +90,10 @@ class Defined:
         return float(robust_scale(torch.from_numpy(rms)[None]))
 
     def linearise_window(
-        self, views: Views, state: WindowState, points: WindowPoints, hosts: Array, limit: float, noise: Noise
+        self, views: Views, state: WindowState, points: WindowPoints, pairs: Array, limit: float, noise: Noise
     ) -> tuple[float, WindowSystem]:
         system = WindowSystem.empty(*state.inv_depth.shape)
-        return window.linearise_window(views, state, points, hosts, limit, noise, system), system
+        return window.linearise_window(views, state, points, pairs, limit, noise, system), system
 
     def eliminate_depths(self, system: WindowSystem) -> tuple[Array, Array]:
         return window.eliminate_depths(system)

@@ -102,10 +102,10 @@ class Fused:
         return float(tracking.robust_scale(rms))
 
     def linearise_window(
-        self, views: Views, state: WindowState, points: WindowPoints, hosts: Array, limit: float, noise: Noise
+        self, views: Views, state: WindowState, points: WindowPoints, pairs: Array, limit: float, noise: Noise
     ) -> tuple[float, WindowSystem]:
         system = WindowSystem.empty(*state.inv_depth.shape)
-        return float(window.linearise_window(views, state, points, hosts, limit, noise, system)), system
+        return float(window.linearise_window(views, state, points, pairs, limit, noise, system)), system
 
     def eliminate_depths(self, system: WindowSystem) -> tuple[Array, Array]:
         out: tuple[Array, Array] = window.eliminate_depths(system)

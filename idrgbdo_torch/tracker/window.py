@@ -17,6 +17,7 @@ from ..measurement import STEP, Noise, Views, WindowPoints, WindowSystem
 from .backends import Backend
 from .members import Members
 from .smoothing import Departure, departure
+from .systems import Part
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -30,6 +31,7 @@ SETTLED = 1.0  # standard deviations; a smaller step ends the optimisation
 TOLERANCE = (
     1.02  # a step may raise the cost so much: points crossing a limit make it jump by more than the step is worth
 )
+NEAR = 0.5  # standard deviations that old keyframes may move before their pairs are linearised again
 SMALLEST_SYSTEM = 1e-9  # added to the diagonal: what nothing measures does not move
 PROTECTED = 2  # newest keyframes that stay
 HARDLY_SEEN = 0.05  # share of a keyframe's points in the newest view under which it goes first
@@ -84,28 +86,36 @@ class Window:
         out[:, 6:] = members.affine - members.affine_linear
         return torch.from_numpy(out.ravel())
 
-    def linearise(self, points: WindowPoints, hosts: NDArray[np.bool_], limit: float) -> tuple[float, WindowSystem]:
-        """Cost and normal equations of the points of some hosts (K,) at the present state (no prior)."""
+    def linearise(self, points: WindowPoints, pairs: NDArray[np.bool_], limit: float) -> Part:
+        """Cost and normal equations of some pairs (K, K) of host and target at the present state (no prior)."""
         members = self.members
         views = Views(*self.buffers, members.slots, members.keyframes[0].frame.intrinsics[0])
         state = members.state(self.config.window.first_estimates)
-        return self.backend.linearise_window(views, state, points, hosts, limit, self.noise)
+        return Part(*self.backend.linearise_window(views, state, points, pairs, limit, self.noise))
 
     def optimise(self) -> int:
-        """Damped Gauss-Newton over the whole window; returns the iterations."""
+        """Damped Gauss-Newton over the whole window; returns the iterations.
+
+        What the newest keyframe has no part in has been optimised before and hardly moves: it is linearised again only
+        where it does.
+        """
         K = len(self.members.keyframes)
         if K < 2:
             return 0
         points = self.members.points()
-        everyone = np.ones(K, dtype=np.bool_)
         limit = self.config.noise.outlier * self.scale
-        energy, system = self.linearise(points, everyone, limit)
-        energy += 2.0 * float(prior_cost(self.prior, self.deviation()))
+        newest = np.zeros((K, K), dtype=np.bool_)
+        newest[-1, :] = newest[:, -1] = True
+        others = self.linearise(points, ~newest, limit)
+        now = self.linearise(points, newest, limit) + others
+        energy = now.energy + self.prior_energy()
+        # from where the others were taken
+        away, depths_away = np.zeros(STEP * K), np.zeros_like(self.members.inv_depth)
         damping = 0.0
         iteration = 0
         while iteration < ITERATIONS:
             iteration += 1
-            H, b = self.backend.eliminate_depths(system)
+            H, b = self.backend.eliminate_depths(now.system)
             H += self.prior.H.numpy()
             b += prior_gradient(self.prior, self.deviation()).numpy()
             H[np.diag_indices_from(H)] *= 1.0 + damping
@@ -113,22 +123,32 @@ class Window:
             solved, step = solve_spd(H, b)
             if not solved:
                 break
-            saved = self.members
-            self.members = moved(saved, step, depth_step(system, step))
-            new_energy, new_system = self.linearise(points, everyone, limit)
-            new_energy += 2.0 * float(prior_cost(self.prior, self.deviation()))
+            saved, depths = self.members, depth_step(now.system, step)
+            self.members = moved(saved, step, depths)
+            if others.moved(away + step, depths_away + depths) > NEAR**2:
+                others_there = self.linearise(points, ~newest, limit)
+                away_there, depths_there = np.zeros_like(away), np.zeros_like(depths)
+            else:
+                others_there, away_there, depths_there = others, away + step, depths_away + depths
+            there = self.linearise(points, newest, limit) + others_there.at(away_there, depths_there)
+            new_energy = there.energy + self.prior_energy()
             if np.isfinite(new_energy) and new_energy <= energy * TOLERANCE:
-                energy, system = new_energy, new_system
+                energy, now = new_energy, there
+                others, away, depths_away = others_there, away_there, depths_there
                 damping *= 0.25
             else:
                 self.members = saved
                 damping = max(4.0 * damping, 1e-2)
             if step @ b < SETTLED**2:
                 break
-        self.scale = max(1.0, self.backend.robust_scale(system.rms.ravel()))
-        self.members = with_refined_points(self.members, system)
-        self.system = system
+        self.scale = max(1.0, self.backend.robust_scale(now.system.rms.ravel()))
+        self.members = with_refined_points(self.members, now.system)
+        self.system = now.system
         return iteration
+
+    def prior_energy(self) -> float:
+        """What the prior adds to the cost."""
+        return 2.0 * float(prior_cost(self.prior, self.deviation()))
 
     def shrink(self) -> list[tuple[int, Keyframe, Departure]]:
         """Marginalise keyframes until at most window.keyframes are left; returns their places at removal, and how."""
@@ -192,7 +212,8 @@ class Window:
         """Replace a keyframe's points, then the keyframe itself, by a linear prior on the others (Eqs. 21 to 25)."""
         K = len(self.members.keyframes)
         hosts = np.arange(K) == k
-        _, system = self.linearise(self.members.points(), hosts, self.config.noise.outlier)
+        pairs = np.repeat(hosts[:, None], K, axis=1)
+        system = self.linearise(self.members.points(), pairs, self.config.noise.outlier).system
         H, b = self.backend.eliminate_depths(system)
         touched = np.abs(H).reshape(K, STEP, -1).sum(axis=(1, 2)) > 0.0
         fresh = touched & ~self.members.in_prior

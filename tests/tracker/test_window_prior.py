@@ -104,7 +104,8 @@ def test_marginalising_is_dense_elimination_of_its_points_and_itself(keyed: Desk
     for again in (False, True):  # the second time on top of a prior, with poses that have moved since
         K = len(window.members.keyframes)
         hosts = np.arange(K) == k
-        _, system = window.linearise(window.members.points(), hosts, CONFIG.noise.outlier)
+        pairs = np.repeat(hosts[:, None], K, axis=1)
+        _, system = window.linearise(window.members.points(), pairs, CONFIG.noise.outlier)
         cross = system.cross.reshape(-1, STEP * K)
         pull = prior_gradient(window.prior, window.deviation()).numpy()
         H = np.block([[system.H + window.prior.H.numpy(), cross.T], [cross, np.diag(system.Hd.ravel())]])
@@ -150,7 +151,7 @@ def test_the_prior_pulls(keyed: Desk) -> None:
         window.optimise()
     moved = se3.log(torch.from_numpy(window.members.T) @ se3.inverse(torch.from_numpy(before)))
     assert moved[3, 0] == pytest.approx(5 * MM, rel=0.05)
-    assert moved[0].abs().max() < 1e-5  # which holds the gauge
+    assert moved[0].abs().max() < 2e-5  # which holds the gauge
 
 
 @pytest.mark.parametrize("first_estimates", [True, False])
@@ -171,7 +172,7 @@ def test_first_estimates_do_not_move(keyed: Desk, first_estimates: bool) -> None
     kept = np.delete(np.arange(5), 1)
     np.testing.assert_array_equal(window.members.T_linear[: len(kept)][fixed[kept]], linear[kept][fixed[kept]])
     assert window.deviation().abs().max() > 0
-    _, at_state = window.linearise(window.members.points(), np.ones(5, dtype=np.bool_), 1e9)
+    _, at_state = window.linearise(window.members.points(), np.ones((5, 5), dtype=np.bool_), 1e9)
     window.members = window.members._replace(T_linear=window.members.T.copy())
-    _, relinearised = window.linearise(window.members.points(), np.ones(5, dtype=np.bool_), 1e9)
+    _, relinearised = window.linearise(window.members.points(), np.ones((5, 5), dtype=np.bool_), 1e9)
     assert np.array_equal(at_state.H, relinearised.H) != first_estimates
