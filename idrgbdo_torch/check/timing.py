@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..text.files import is_plain_file, read_text
+
 Array = NDArray[np.float64]
 
 
@@ -60,9 +62,8 @@ def lists(folder: Path) -> Lists | None:
 
 def _times(path: Path) -> Array:
     """The sorted times (s) of a list `timestamp file`; none where there is no such list."""
-    if not path.is_file():
+    if not is_plain_file(path):
         return np.zeros(0)
-    lines = [
-        line.split()[0] for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()
-    ]
-    return np.unique(np.array([float(first) for first in lines if first.replace(".", "", 1).isdigit()]))
+    lines = [line.split()[0] for line in read_text(path).splitlines() if line.strip()]
+    times = np.array([float(first) for first in lines if first.replace(".", "", 1).isdecimal()])
+    return np.unique(times[np.isfinite(times)])

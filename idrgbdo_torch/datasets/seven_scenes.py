@@ -44,7 +44,7 @@ def read(folder: Path, options: Options) -> Recording:
     calibration = find_calibration(folder, options.camera, KINECT)
     fps = calibration.fps or FPS
     T_depth_color = np.linalg.inv(calibration.T_color_depth())
-    poses = pose_files(
+    poses, unread = pose_files(
         [(number, path.with_name(path.name.replace(".color.png", ".pose.txt"))) for number, (path, _) in pairs.items()]
     )
     return Recording(
@@ -57,5 +57,5 @@ def read(folder: Path, options: Options) -> Recording:
         groundtruth=reference(
             {number: number / fps for number in pairs}, {n: T @ T_depth_color for n, T in poses.items()}
         ),
-        warnings=warnings,
+        warnings=(*warnings, *unread),
     )

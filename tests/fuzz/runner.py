@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from . import checkpoints, downloads, folders, kills
+from . import checkpoints, downloads, folders, kills, readers
 from .promise import Attack, limits
 
 ATTACKS: Mapping[str, Attack] = {
@@ -23,6 +23,14 @@ ATTACKS: Mapping[str, Attack] = {
     "names": Attack(folders.names),
     "answers": Attack(downloads.answers),
     "archives": Attack(downloads.archives),
+    "one image": Attack(readers.one_image),
+    "one text": Attack(readers.one_text),
+    "strange folder": Attack(readers.strange_folder),
+    "bags": Attack(readers.bags),
+    "camera files": Attack(readers.camera_files),
+    "settings": Attack(readers.settings),
+    "poses": Attack(readers.poses),
+    "run tables": Attack(readers.run_tables),
     "killed": Attack(kills.killed, every=22, most_s=600),
 }
 
