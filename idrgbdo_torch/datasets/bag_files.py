@@ -52,6 +52,14 @@ def check_files(path: Path) -> None:
         )
 
 
+def repair(path: Path) -> str:
+    """What may make a recording readable again that cannot be opened."""
+    suffixes = {file.suffix for file in path.iterdir()} if path.is_dir() else {path.suffix}
+    tools = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3 FILE .recover"}
+    named = [f"`{tool}`" for suffix, tool in tools.items() if suffix in suffixes]
+    return f"repair it with {named[0]}, or record it again" if named else "repair or record it again"
+
+
 def index_position(path: Path) -> int | None:
     """Where the index of a ROS 1 bag begins; 0 where it was not closed, None for another file."""
     if not is_plain_file(path):

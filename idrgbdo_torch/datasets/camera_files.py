@@ -177,9 +177,20 @@ def _read(data: Mapping[str, Any], where: str, strict: bool = True) -> dict[str,
     if "fx" not in values:
         return _outer(values)
     if strict:
+        _refuse_words(named, where)
         _check_lens(named, coefficients or [values.get(name, 0.0) for name in ORDER], where)
     values.update(zip(ORDER, coefficients, strict=False))
     return {key: value for key, value in values.items() if value > 0 or key not in ("depth_scale", "fps", *SIZE)}
+
+
+def _refuse_words(named: Mapping[str, Any], where: str) -> None:
+    """Raises IdRgbdoError for distortion some of whose numbers are none: it would be left out without a word."""
+    for name in (*DISTORTIONS, *ORDER):
+        value = named.get(name)
+        value = value.get("data") if isinstance(value, Mapping) else value
+        some = isinstance(value, list) and any(isinstance(number, int | float) for number in value)
+        if (some and not _list(value)) or (name in ORDER and isinstance(_number(value), str)):
+            raise IdRgbdoError(f"{where}: {name}: expected numbers, got {shown(value)}; correct it")
 
 
 def _check_lens(named: Mapping[str, Any], coefficients: list[float], where: str) -> None:

@@ -89,6 +89,8 @@ def _tiff(data: bytes) -> tuple[int, int] | None:
 
 
 def _webp(data: bytes) -> tuple[int, int] | None:
+    if len(data) < 30:
+        return None
     if data[12:16] == b"VP8X":
         return 1 + int.from_bytes(data[24:27], "little"), 1 + int.from_bytes(data[27:30], "little")
     if data[12:16] == b"VP8L":
@@ -106,7 +108,7 @@ def _text(head: bytes) -> tuple[int, int] | None:
     if head.startswith(b"P7"):
         wide, high = (re.search(rb"^" + name + rb"\s+(\d{1,20})", head, re.MULTILINE) for name in (b"WIDTH", b"HEIGHT"))
         return (int(wide[1]), int(high[1])) if wide and high else None
-    plain = re.match(rb"P.(?:\s|#[^\n]*\n)+(\d{1,20})(?:\s|#[^\n]*\n)+(\d{1,20})", head)
+    plain = re.match(rb"P.(?:\s|#[^\n]*\n)+(\d{1,20})(?:\s|#[^\n]*\n)+(\d{1,20})\s", head)
     return (int(plain[1]), int(plain[2])) if plain else None
 
 

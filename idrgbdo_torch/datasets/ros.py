@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import IdRgbdoError
 from ..text.files import is_named
 from ..text.plain import shown
-from .bag_files import check_files, damage
+from .bag_files import check_files, damage, repair
 from .builder import RawPair
 from .calibration import Calibration, believed, find_calibration
 from .pairing import pair_by_time, unpaired_warning
@@ -238,16 +238,18 @@ def _open(path: Path) -> AnyReader:
         raise IdRgbdoError(
             f'{path}: reading ROS recordings needs rosbags ({error}); run `pip install "idrgbdo_torch[ros]"`'
         ) from error
-    where = f"{path}: cannot read this as a ROS recording"
     check_files(path)
-    with _damage_named(where):
+    with _damage_named(f"{path}: cannot read this as a ROS recording", repair(path)):
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
+        if not all(isinstance(name, str) for c in reader.connections for name in (c.topic, c.msgtype)):
+            reader.close()
+            raise ValueError("topics have numbers for names in metadata.yaml")
     return reader
 
 
 @contextmanager
-def _damage_named(where: str) -> Iterator[None]:
+def _damage_named(where: str, advice: str = "repair or record it again") -> Iterator[None]:
     """Raises IdRgbdoError for whatever rosbags says of damaged content."""
     try:
         yield
@@ -255,7 +257,7 @@ def _damage_named(where: str) -> Iterator[None]:
         raise
     except damage() as error:
         said = shown(" ".join(str(error).split()) or type(error).__name__, quoted=False)
-        raise IdRgbdoError(f"{where}: the recording is damaged ({said}); repair or record it again") from error
+        raise IdRgbdoError(f"{where}: the recording is damaged ({said}); {advice}") from error
 
 
 def _calibration(info: Any, rectified: bool, where: str) -> Calibration:

@@ -163,7 +163,7 @@ def read_table(
                 raise unreadable(path, cells, topic, advice)
             rows.append(row)
     except csv.Error as error:
-        raise unreadable(path, f"line {reader.line_num}: {error}", topic, advice) from error
+        raise unreadable(path, f"line {reader.line_num + 1}: {error}", topic, advice) from error
     return rows
 
 
