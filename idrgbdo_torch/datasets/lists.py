@@ -201,5 +201,9 @@ def _file(path: Path, name: str) -> Path:
 
 
 def _natural(file: Path) -> list[tuple[int, str]]:
-    """A key that sorts names as people do: image9 before image10."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", file.name) if part]
+    """A key that sorts names as people do: image9 before image10. Numbers may have any length."""
+    parts = [part for part in re.split(r"(\d+)", file.name) if part]
+    numbers = [part.lstrip("0") if part.isdecimal() else None for part in parts]
+    return [
+        (-1, part) if number is None else (len(number), number) for part, number in zip(parts, numbers, strict=True)
+    ]

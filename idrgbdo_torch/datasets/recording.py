@@ -50,7 +50,8 @@ class Options:
                 raise IdRgbdoError(f"{name}: expected at least {least}, got {value}; change it")
         if self.depth_scale is not None and not LEAST_SCALE <= self.depth_scale <= MOST_SCALE:
             raise IdRgbdoError(
-                f"depth_scale: expected depth values per metre, above 0, got {self.depth_scale}; change it"
+                f"depth_scale: expected depth values per metre, above 0 (from {LEAST_SCALE:g} to {MOST_SCALE:g}), "
+                f"got {self.depth_scale}; change it"
             )
         if not 0 <= self.association_limit_s < float("inf"):
             raise IdRgbdoError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -35,7 +36,8 @@ INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 Stamp = tuple[float, int]  # s of the header, ns at which it was recorded
 
 SHORTEST_NS = 4_000_000  # of a recording, that are left out where it cannot be read
-MOST_DAMAGED = 3000  # places at which reading fails, before the whole recording counts as damaged
+MOST_DAMAGED = 2000  # times that reading may fail, before the whole recording counts as damaged
+MOST_SALVAGE_S = 60.0  # that may be spent on reading around damage
 
 
 def recognise(path: Path) -> bool:
@@ -198,6 +200,7 @@ class _Bag:
         everywhere.
         """
         spans, failed, read = [(start, stop)], 0, 0
+        until = float("inf")
         while spans:
             a, b = spans.pop()
             last = self.reader.start_time - 1 if a is None else a - 1
@@ -209,7 +212,8 @@ class _Bag:
                 continue
             except IdRgbdoError:
                 failed += 1
-                if failed > MOST_DAMAGED or stop is not None:
+                until = min(until, time.monotonic() + MOST_SALVAGE_S)
+                if failed > MOST_DAMAGED or time.monotonic() > until or stop is not None:
                     raise
             a, b = last + 1, self.reader.end_time + 1 if b is None else b  # what was read is not read again
             if b - a <= SHORTEST_NS:

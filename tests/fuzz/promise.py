@@ -28,6 +28,7 @@ class Attack:
     run: Callable[[Generator, Path], None]  # with an empty folder; raises whatever shows that a promise was broken
     every: int = 1  # of so many seeds that are its turn it is made for one: processes that are killed take seconds
     most_s: int = MOST_S
+    ready: Callable[[], object] = lambda: None  # what is done before and counts for no attack, such as compiling
 
 
 def refused(call: Callable[[], object]) -> IdRgbdoError | None:

@@ -8,7 +8,9 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from calibration_files import FILES
@@ -30,6 +32,17 @@ from .mutate import spoiled, token, tree_spoiled, words_spoiled
 from .promise import refused
 
 PAGE = 4096  # bytes, of SQLite
+
+
+@cache
+def ready() -> None:
+    """Make all recordings, and read each once, so that all is compiled."""
+    for kind, made in (
+        *((kind, recorded.folder_of) for kind in recorded.WRITERS),
+        *((kind, recorded.bag_of) for kind in recorded.BAGS),
+    ):
+        with TemporaryDirectory() as folder:
+            assert len(frames(recorded.write(made(kind), Path(folder)))) == recorded.FRAMES
 
 
 def one_image(rng: Generator, folder: Path) -> None:

@@ -23,10 +23,10 @@ ATTACKS: Mapping[str, Attack] = {
     "names": Attack(folders.names),
     "answers": Attack(downloads.answers),
     "archives": Attack(downloads.archives),
-    "one image": Attack(readers.one_image),
-    "one text": Attack(readers.one_text),
-    "strange folder": Attack(readers.strange_folder),
-    "bags": Attack(readers.bags),
+    "one image": Attack(readers.one_image, ready=readers.ready),
+    "one text": Attack(readers.one_text, ready=readers.ready),
+    "strange folder": Attack(readers.strange_folder, ready=readers.ready),
+    "bags": Attack(readers.bags, ready=readers.ready),
     "camera files": Attack(readers.camera_files),
     "settings": Attack(readers.settings),
     "poses": Attack(readers.poses),
@@ -41,6 +41,7 @@ def attack(seed: int, attacks: Mapping[str, Attack] = ATTACKS) -> tuple[str, str
     name = list(attacks)[place]
     if turn % attacks[name].every:
         return "", ""
+    attacks[name].ready()
     with TemporaryDirectory() as folder:
         try:
             with limits(attacks[name].most_s):
