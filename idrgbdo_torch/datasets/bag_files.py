@@ -9,11 +9,13 @@ from importlib import import_module
 from pathlib import Path
 
 from ..errors import IdRgbdoError
-from ..text.files import DAMAGE, MOST_SETTINGS, is_named, is_plain_file, read_bytes
+from ..text.files import DAMAGE, is_named, is_plain_file, read_bytes, unreadable
 
 INDEX_POSITION = b"index_pos="  # in the header of a ROS 1 bag: where its topics are listed, 0 until it is closed
 # below rosbags, of different versions of it: their errors
 LIBRARIES = {"apsw": "Error", "sqlite3": "Error", "compression.zstd": "ZstdError", "backports.zstd": "ZstdError"}
+MOST_METADATA = 256 << 10  # bytes of metadata.yaml: those of a thousand topics, parsed in seconds
+DEEPEST = 50  # lists in lists there
 HEAD = 4096  # bytes in which that header stands
 INDEX = 16 << 20  # bytes of the index that are looked at; the topics stand at its beginning
 
@@ -38,7 +40,7 @@ def damage() -> tuple[type[Exception], ...]:
 def check_files(path: Path) -> None:
     """Raises IdRgbdoError for what rosbags would wait for, read whole, or call damaged without saying what to do."""
     if path.is_dir():
-        read_bytes(path / "metadata.yaml", MOST_SETTINGS, "sequence", "replace it, or name the .mcap or .db3 file")
+        _check_metadata(path / "metadata.yaml")
         files = [file for file in path.iterdir() if file.suffix in (".mcap", ".db3", ".zstd")]
     else:
         files = [path]
@@ -50,6 +52,19 @@ def check_files(path: Path) -> None:
             f"{path}: the recording was interrupted before its index was written; write it with "
             f"`rosbag reindex {path.name}`, which keeps the original as .orig.bag"
         )
+
+
+def _check_metadata(path: Path) -> None:
+    """Raises IdRgbdoError where the time of its parser, which grows with the square of the depth, would be long."""
+    advice = "replace it, or name the .mcap or .db3 file"
+    depth = 0
+    for line in read_bytes(path, MOST_METADATA, "sequence", advice).splitlines():
+        for letter in line:
+            depth += (letter in b"[{") - (letter in b"]}")
+            if depth > DEEPEST:
+                raise unreadable(path, "nested too deep", "sequence", advice)
+        if line.count(b"- ") > DEEPEST:
+            raise unreadable(path, "nested too deep", "sequence", advice)
 
 
 def repair(path: Path) -> str:

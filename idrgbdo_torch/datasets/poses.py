@@ -119,14 +119,15 @@ def reference(times: Mapping[int, float], poses: Mapping[int, Matrix]) -> Trajec
 
     Poses that are marked as unknown (not finite), and what is no rigid motion at all, are left out.
     """
-    known = [number for number in sorted(times) if number in poses and _is_pose(poses[number])]
+    known = [number for number in sorted(times) if number in poses and is_pose(poses[number])]
     if not known:
         return None
     stamps = torch.tensor([times[number] for number in known], dtype=torch.float64)
     return Trajectory(stamps, torch.from_numpy(np.stack([poses[number] for number in known])))
 
 
-def _is_pose(T_world_cam: Matrix) -> bool:
+def is_pose(T_world_cam: Matrix) -> bool:
+    """Whether a (4, 4) matrix is finite and near a rigid motion."""
     return bool((np.abs(T_world_cam) < FARTHEST_M).all()) and bool(np.abs(T_world_cam[:3, :3]).max() < 2)
 
 

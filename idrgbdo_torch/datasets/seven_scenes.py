@@ -14,7 +14,7 @@ import numpy as np
 
 from .calibration import Calibration, DepthCamera, find_calibration
 from .pairing import FPS, numbered, pair_by_number, reader
-from .poses import pose_files, reference
+from .poses import is_pose, pose_files, reference
 from .recording import Options, Recording
 
 KINECT = Calibration(
@@ -55,7 +55,8 @@ def read(folder: Path, options: Options) -> Recording:
         calibration=calibration,
         depth_scale=DEPTH_SCALE,
         groundtruth=reference(
-            {number: number / fps for number in pairs}, {n: T @ T_depth_color for n, T in poses.items()}
+            {number: number / fps for number in pairs},
+            {number: T @ T_depth_color for number, T in poses.items() if is_pose(T)},
         ),
         warnings=(*warnings, *unread),
     )

@@ -336,3 +336,11 @@ def test_a_calibration_that_is_there_and_no_file_is_said(tmp_path: Path) -> None
     os.mkfifo(recording / "camera.toml")
     with limits(10), pytest.raises(IdRgbdoError, match=r"cannot read '.*camera\.toml': it is a pipe, no file"):
         open_sequence(recording)
+
+
+@pytest.mark.parametrize("text", ["[" * 3000, "- " * 3000, "a: [" + "1," * 60_000 + "]", "x" * 300_000])
+def test_metadata_that_its_parser_would_take_minutes_for(text: str, tmp_path: Path) -> None:
+    recording = recorded.write(recorded.bag_of("mcap"), tmp_path)
+    (recording / "metadata.yaml").write_text(text)
+    with limits(10), pytest.raises(IdRgbdoError, match=str(recording)):
+        open_sequence(recording)
