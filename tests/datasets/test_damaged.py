@@ -338,7 +338,7 @@ def test_a_calibration_that_is_there_and_no_file_is_said(tmp_path: Path) -> None
         open_sequence(recording)
 
 
-@pytest.mark.parametrize("text", ["[" * 3000, "- " * 3000, "a: [" + "1," * 60_000 + "]", "x" * 300_000])
+@pytest.mark.parametrize("text", ["[" * 3000, "- " * 3000, "a: [" + "1," * 15_000 + "]", "x" * 300_000])
 def test_metadata_that_its_parser_would_take_minutes_for(text: str, tmp_path: Path) -> None:
     recording = recorded.write(recorded.bag_of("mcap"), tmp_path)
     (recording / "metadata.yaml").write_text(text)
