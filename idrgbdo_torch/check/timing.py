@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..text.files import MOST_TEXT, is_plain_file, read_bytes
+
 Array = NDArray[np.float64]
 
 
@@ -60,9 +62,12 @@ def lists(folder: Path) -> Lists | None:
 
 def _times(path: Path) -> Array:
     """The sorted times (s) of a list `timestamp file`; none where there is no such list."""
-    if not path.is_file():
+    if not is_plain_file(path):
         return np.zeros(0)
     lines = [
-        line.split()[0] for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()
+        line.split()[0]
+        for line in read_bytes(path, MOST_TEXT).decode("utf-8", errors="replace").splitlines()
+        if line.strip()
     ]
-    return np.unique(np.array([float(first) for first in lines if first.replace(".", "", 1).isdigit()]))
+    times = np.array([float(first) for first in lines if first.replace(".", "", 1).isdecimal()])
+    return np.unique(times[np.isfinite(times)])

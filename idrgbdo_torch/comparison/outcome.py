@@ -12,6 +12,7 @@ from pathlib import Path
 
 from ..errors import IdRgbdoError
 from ..runs.writing import write_whole
+from ..text.files import MOST_TEXT, plain_bytes, read_json
 from .methods import Kind, Method
 
 EXTERNAL = "external"  # the kind of a trajectory that another program wrote
@@ -66,7 +67,7 @@ def read_outcomes(folder: Path) -> dict[tuple[str, ...], Outcome]:
     known = {item.name for item in fields(Outcome)}
     outcomes = {}
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = plain_bytes(path, MOST_TEXT).decode("utf-8", errors="replace").splitlines()
     except OSError as error:
         raise IdRgbdoError(f"out: cannot read '{path}': {error.strerror}; pass another --out") from error
     for line in lines:
@@ -87,8 +88,8 @@ def stamp(folder: Path, outcome: Outcome) -> None:
 def stamped(folder: Path, outcome: Outcome) -> bool:
     """Whether the run in a folder is that of the outcome, and not a later one of other frames or settings."""
     try:
-        return bool(json.loads((folder / STAMP).read_text(encoding="utf-8")) == list(outcome.key))
-    except (OSError, ValueError, RecursionError):
+        return bool(read_json(folder / STAMP) == list(outcome.key))
+    except IdRgbdoError:
         return False
 
 

@@ -17,6 +17,7 @@ from ..evaluation import ASSOCIATION_LIMIT_S, evaluate
 from ..frame import RgbdFrame
 from ..runs.machine import machine_name
 from ..runs.writing import is_file_name, write_whole
+from ..text.files import MOST_TEXT, read_bytes
 from ..trajectory import associate, read_tum, tum_text
 from .methods import Methods
 from .outcome import (
@@ -185,7 +186,7 @@ def _external_outcome(external: External, sequence: RgbdSequence, out: Path) -> 
         external.name,
         sequence.name,
         0,
-        hashlib.sha256(external.trajectory.read_bytes()).hexdigest()[:12],
+        hashlib.sha256(read_bytes(external.trajectory, MOST_TEXT, external.name)).hexdigest()[:12],
         {},
         "a trajectory that another program wrote",
         EXTERNAL,

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 from ..definitions.camera import Pinhole
 from ..errors import IdRgbdoError
 from ..text import configfile
-from ..text.configfile import Count, Positive
+from ..text.configfile import Bounds, Count
 from .camera_files import camera_values, usual_file
 
 EXAMPLE = "`fx = 525.0`, `fy = 525.0`, `cx = 319.5`, `cy = 239.5`, `depth_scale = 1000.0` (depth values per metre)"
@@ -22,17 +24,27 @@ USUAL_SIZES = (
     *((640, 360), (960, 540), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160)),  # 16:9
     *((424, 240), (848, 480), (640, 400), (1280, 800), (640, 576), (512, 424), (1200, 680), (256, 192)),
 )
+FARTHEST_M = 100.0  # that a depth camera stands from its colour camera
+LEAST_FOCAL = 1e-3  # of the image's size: an angle of view of 179.9 degrees
 MIDDLE = 0.06  # of the size, that a principal point of one of these is off at most
+
+
+# what cameras have, with room to spare: beyond these a number is a mistake, and no memory holds the images it asks for
+Focal = Annotated[float, Bounds(0, 1e6, low_excluded=True)]  # px
+Pixel = Annotated[float, Bounds(-1e6, 1e6)]
+Coefficient = Annotated[float, Bounds(-1e6, 1e6)]  # of a lens
+Scale = Annotated[float, Bounds(1e-3, 1e9)]  # depth values per metre
+Rate = Annotated[float, Bounds(1e-4, 1e5)]  # Hz
 
 
 @dataclass(frozen=True)
 class DepthCamera:
     """A depth camera beside the colour camera, for depth that is not registered; without fx there is none."""
 
-    fx: Positive | None = None
-    fy: Positive | None = None
-    cx: float | None = None
-    cy: float | None = None
+    fx: Focal | None = None
+    fy: Focal | None = None
+    cx: Pixel | None = None
+    cy: Pixel | None = None
     T_color_depth: tuple[tuple[float, ...], ...] = ()  # 3 or 4 rows of 4; the identity where empty
 
 
@@ -40,22 +52,22 @@ class DepthCamera:
 class Calibration:
     """Intrinsics in pixels and radial-tangential distortion of the colour image that the depth is registered to."""
 
-    fx: Positive
-    fy: Positive
-    cx: float
-    cy: float
-    k1: float = 0.0
-    k2: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    k3: float = 0.0
-    k4: float = 0.0  # to k6: of the rational model, as an Azure Kinect has it
-    k5: float = 0.0
-    k6: float = 0.0
+    fx: Focal
+    fy: Focal
+    cx: Pixel
+    cy: Pixel
+    k1: Coefficient = 0.0
+    k2: Coefficient = 0.0
+    p1: Coefficient = 0.0
+    p2: Coefficient = 0.0
+    k3: Coefficient = 0.0
+    k4: Coefficient = 0.0  # to k6: of the rational model, as an Azure Kinect has it
+    k5: Coefficient = 0.0
+    k6: Coefficient = 0.0
     width: Count | None = None  # px; checked against the images where given
     height: Count | None = None
-    depth_scale: Positive | None = None  # depth values per metre
-    fps: Positive | None = None  # frames per second, where nothing else tells the times
+    depth_scale: Scale | None = None
+    fps: Rate | None = None  # frames per second, where nothing else tells the times
     depth: DepthCamera = DepthCamera()
     origin: str = field(default="", compare=False)  # where it was found, for people
 
@@ -77,6 +89,11 @@ class Calibration:
             raise IdRgbdoError(
                 f"{who}: expected a principal point inside the images of {width}x{height}, got cx={self.cx:g}, "
                 f"cy={self.cy:g}; {self._advice(self.likely_size(), (width, height))}"
+            )
+        if min(self.fx / width, self.fy / height) < LEAST_FOCAL:
+            raise IdRgbdoError(
+                f"{who}: expected focal lengths of images of {width}x{height}, got fx={self.fx:g}, fy={self.fy:g}, by "
+                "which the camera sees all around; give them in pixels"
             )
         return Pinhole(width=width, height=height, fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy)
 
@@ -122,7 +139,12 @@ class Calibration:
                 raise IdRgbdoError("camera: depth.T_color_depth: expected 3 or 4 rows of 4 numbers; correct it")
             T[: len(rows)] = rows
         R = T[:3, :3]
-        if not np.allclose(R @ R.T, np.eye(3), atol=1e-3) or np.linalg.det(R) < 0 or tuple(T[3]) != (0, 0, 0, 1):
+        if (
+            np.abs(T).max() > FARTHEST_M
+            or not np.allclose(R @ R.T, np.eye(3), atol=1e-3)
+            or np.linalg.det(R) < 0
+            or tuple(T[3]) != (0, 0, 0, 1)
+        ):
             raise IdRgbdoError(
                 "camera: depth.T_color_depth: expected a rotation and a translation in metres; correct it"
             )
@@ -173,7 +195,7 @@ def find_calibration(folder: Path, camera: Path | None = None, default: Calibrat
 
     Raises IdRgbdoError where none of them is there, or the one that is cannot be read.
     """
-    ours = next((folder / name for name in ("camera.toml", "calibration.txt") if (folder / name).exists()), None)
+    ours = next((folder / name for name in ("camera.toml", "calibration.txt") if os.path.lexists(folder / name)), None)
     if camera is not None or ours is not None:
         return _from_file(camera or ours or folder)
     other = usual_file(folder)
@@ -209,11 +231,24 @@ def scaled(calibration: Calibration, size: tuple[int, int], new_size: tuple[int,
     )
 
 
+def believed(calibration: Calibration, where: str) -> Calibration:
+    """The calibration, where each of its numbers is one that a camera can have.
+
+    where: the file that says so. Raises IdRgbdoError, naming the number, for NaN, infinity and what is far too large.
+    """
+    configfile.check(calibration, f"{where}: ")
+    return calibration
+
+
 def _from_file(path: Path) -> Calibration:
     calibration = configfile.merge(UNSET, camera_values(path), f"{path}: ")
     for name in ("fx", "fy", "cx", "cy"):
         if np.isnan(getattr(calibration, name)):
             raise IdRgbdoError(f"{path}: {name}: expected the camera's value in pixels, got none; add `{name} = ...`")
+    try:
+        calibration.T_color_depth()
+    except IdRgbdoError as error:
+        raise IdRgbdoError(str(error).replace("camera:", f"{path}:", 1)) from error
     depth = calibration.depth
     if depth != DepthCamera() and None in (depth.fx, depth.fy, depth.cx, depth.cy):
         raise IdRgbdoError(f"{path}: [depth]: expected fx, fy, cx and cy of the depth camera; add what is missing")

@@ -6,8 +6,7 @@ numbers. They name the same things differently, so they are read by the names th
 
 from __future__ import annotations
 
-import json
-import tomllib
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import IdRgbdoError
-from ..text.files import read_text
+from ..text.files import MOST_JSON, damage_named, is_named, parse_json, parse_toml, read_text
+from ..text.plain import shown
 from .yaml_text import parse_yaml
 
 MATRICES = (
@@ -53,7 +53,7 @@ def usual_file(folder: Path) -> Path | None:
     """A calibration under one of the usual names; None where there is none."""
     files = (folder / f"{name}{suffix}" for name in NAMES for suffix in SUFFIXES)
     record3d = folder / "metadata"
-    return next((path for path in files if path.is_file()), record3d if record3d.is_file() else None)
+    return next((path for path in (*files, record3d) if is_named(path)), None)
 
 
 def camera_values(path: Path) -> dict[str, Any]:
@@ -61,11 +61,9 @@ def camera_values(path: Path) -> dict[str, Any]:
 
     Raises IdRgbdoError for a file that cannot be read, holds no camera or several, or a lens of another kind.
     """
-    try:
-        text = read_text(path)
-    except (OSError, UnicodeDecodeError) as error:
-        raise IdRgbdoError(f"configuration: cannot read '{path}': {error}; pass an existing text file") from error
-    return _upright(_values(path, text, str(path)), str(path))
+    text = read_text(path, "configuration", "pass an existing text file", most=MOST_JSON)
+    with damage_named(str(path), "a camera", f"correct it, or write {_lines()}"):
+        return _upright(_values(path, text, str(path)), str(path))
 
 
 def _values(path: Path, text: str, where: str) -> dict[str, Any]:
@@ -83,12 +81,7 @@ def _values(path: Path, text: str, where: str) -> dict[str, Any]:
 
 def _toml(text: str, where: str) -> dict[str, Any]:
     """Our own file. Capitals and numbers in quotes are forgiven."""
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        comma = "; decimals have a point, not a comma" if any(_comma(line) for line in text.splitlines()) else ""
-        raise IdRgbdoError(f"configuration: '{where}' is not TOML: {error}{comma}; correct it") from error
-    return _lower(data)
+    return _lower(parse_toml(text, where))
 
 
 def _lower(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -100,18 +93,13 @@ def _lower(data: Mapping[str, Any]) -> dict[str, Any]:
 def _upright(values: dict[str, Any], where: str) -> dict[str, Any]:
     """The values. Raises IdRgbdoError for a camera whose axes do not point right and down."""
     for key in ("fx", "fy"):
-        if isinstance(values.get(key), int | float) and values[key] < 0:
+        value = values.get(key)
+        if isinstance(value, int | float) and -math.inf < value < 0:
             raise IdRgbdoError(
-                f"{where}: {key}: expected a focal length above 0, got {values[key]:g}; write {-values[key]:g} (some "
+                f"{where}: {key}: expected a focal length above 0, got {value:g}; write {-value:g} (some "
                 "data sets, such as ICL-NUIM, have a y axis that points up; here it points down)"
             )
     return values
-
-
-def _comma(line: str) -> bool:
-    _, equals, value = line.partition("=")
-    left, comma, right = value.strip().partition(",")
-    return bool(equals and comma) and left.strip().isdigit() and right.strip().isdigit()
 
 
 def _number(value: Any) -> Any:
@@ -123,10 +111,7 @@ def _number(value: Any) -> Any:
 
 
 def _json(text: str, where: str) -> dict[str, Any]:
-    try:
-        data = json.loads(text)
-    except ValueError as error:
-        raise IdRgbdoError(f"{where}: expected JSON ({error}); correct it, or write {_lines()}") from error
+    data = parse_json(text, where, f"correct it, or write {_lines()}")
     return data if isinstance(data, dict) else {}
 
 
@@ -141,7 +126,8 @@ def _camera(data: Mapping[str, Any], where: str) -> dict[str, Any]:
         return {**_outer(values), **_read(next(iter(chosen.values())), where)}
     if chosen:
         raise IdRgbdoError(
-            f"{where}: holds several cameras ({', '.join(chosen)}); write the colour camera's into a file of its own"
+            f"{where}: holds several cameras ({shown(', '.join(chosen), quoted=False)}); "
+            "write the colour camera's into a file of its own"
         )
     raise IdRgbdoError(f"{where}: expected a camera, found none of the names that are known; write {_lines()}")
 
@@ -172,7 +158,7 @@ def _read(data: Mapping[str, Any], where: str, strict: bool = True) -> dict[str,
     for field, names in SCALARS.items():
         number = next((_number(named[name]) for name in names if name in named), None)
         if isinstance(number, int | float) and not isinstance(number, bool):
-            values[field] = float(number)
+            values[field] = float(number)  # OverflowError, which the caller names, where it has hundreds of digits
     for name in MATRICES:
         K = _list(named.get(name))
         if "fx" not in values and (matrix := _intrinsics(K)) is not None:
@@ -186,14 +172,25 @@ def _read(data: Mapping[str, Any], where: str, strict: bool = True) -> dict[str,
     size = next((_list(named[name]) for name in SIZES if name in named), [])
     if len(size) == 2:
         values.update(width=size[0], height=size[1])
-    values.update({name: round(values[name]) for name in SIZE if name in values})
+    values.update({name: round(values[name]) for name in SIZE if math.isfinite(values.get(name, math.inf))})
     coefficients = next((found for name in DISTORTIONS if (found := _list(named.get(name)))), [])
     if "fx" not in values:
         return _outer(values)
     if strict:
+        _refuse_words(named, where)
         _check_lens(named, coefficients or [values.get(name, 0.0) for name in ORDER], where)
     values.update(zip(ORDER, coefficients, strict=False))
     return {key: value for key, value in values.items() if value > 0 or key not in ("depth_scale", "fps", *SIZE)}
+
+
+def _refuse_words(named: Mapping[str, Any], where: str) -> None:
+    """Raises IdRgbdoError for distortion some of whose numbers are none: it would be left out without a word."""
+    for name in (*DISTORTIONS, *ORDER):
+        value = named.get(name)
+        value = value.get("data") if isinstance(value, Mapping) else value
+        some = isinstance(value, list) and any(isinstance(number, int | float) for number in value)
+        if (some and not _list(value)) or (name in ORDER and isinstance(_number(value), str)):
+            raise IdRgbdoError(f"{where}: {name}: expected numbers, got {shown(value)}; correct it")
 
 
 def _check_lens(named: Mapping[str, Any], coefficients: list[float], where: str) -> None:
@@ -204,7 +201,7 @@ def _check_lens(named: Mapping[str, Any], coefficients: list[float], where: str)
     if any(coefficients) and any(lens in models for lens in OTHER_LENSES):
         raise IdRgbdoError(
             f"{where}: expected radial and tangential distortion (plumb_bob, radtan, rational_polynomial), got "
-            f"'{models}'; rectify the images, then write {_lines()} of the rectified ones"
+            f"'{shown(models, quoted=False)}'; rectify the images, then write {_lines()} of the rectified ones"
         )
     if "m1" in named and "m2" in named:
         raise IdRgbdoError(f"{where}: holds two cameras (M1, M2); write {_lines()} of the colour camera")
@@ -221,7 +218,7 @@ def _list(value: Any) -> list[float]:
         value = value.get("data")
     try:
         return [float(number) for number in np.asarray(value, dtype=np.float64).ravel()] if value is not None else []
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return []
 
 
@@ -247,7 +244,9 @@ def _numbers(text: str, where: str) -> dict[str, Any]:
         fields = " ".join(line.split("#")[0] for line in text.splitlines()).replace(",", " ").split()
         numbers = [float(field) for field in fields]
     except ValueError as error:
-        raise IdRgbdoError(f"{where}: expected {expected}, got text ({error}); correct it") from error
+        raise IdRgbdoError(
+            f"{where}: expected {expected}, got text ({shown(error, quoted=False)}); correct it"
+        ) from error
     matrix = _intrinsics(numbers) if len(numbers) in (9, 12, 16) else None
     if matrix is not None:
         return dict(zip(("fx", "fy", "cx", "cy"), matrix, strict=True))

@@ -69,7 +69,7 @@ def scale_doubt(median_m: float, scale: float) -> ScaleDoubt | None:
 
 def depth_warnings(depth: NDArray[Any], depth_scale: float, unknown: float | None = None) -> list[str]:
     """A sentence for the user where the first frame's raw depth cannot be right, or is unusual."""
-    valid = depth[_valid(depth) & (depth != unknown)]
+    valid = _measured(depth, unknown)
     if len(valid) == 0:
         return ["the first frame has no valid depth at all; check that the depth images are the right ones"]
     median = float(np.median(valid)) / depth_scale
@@ -102,7 +102,7 @@ def depth_reading(
     floats = np.issubdtype(first.dtype, np.floating)
     scale = asked or in_file or (1.0 if floats else usual)
     if floats and asked is None and in_file not in (None, 1.0):
-        valid = first[_valid(first) & (first != unknown)]
+        valid = _measured(first, unknown)
         median = float(np.median(valid)) if len(valid) else 0.0
         if median / scale < POSSIBLE_M[0] <= median <= POSSIBLE_M[1]:
             warnings.append(
@@ -140,6 +140,11 @@ def _lonely_maximum(depth: NDArray[Any]) -> float | None:
 
 def _reaches(depth: NDArray[Any], value: float) -> bool:
     return bool((depth[_valid(depth)] >= FAR_GAP * value).any())
+
+
+def _measured(depth: NDArray[Any], unknown: float | None) -> NDArray[Any]:
+    valid = depth[_valid(depth)]
+    return valid if unknown is None else valid[valid != unknown]
 
 
 def _valid(depth: NDArray[Any]) -> NDArray[np.bool_]:

@@ -9,15 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import IdRgbdoError
+from ..text.files import DAMAGE, is_plain_file
 
 DEPTH_CHANNELS = ("Z", "Y", "depth", "D", "R")  # in the order in which depth is looked for
 SIGNATURE = b"\x76\x2f\x31\x01"
 
 
-def read_exr(path: Path) -> NDArray[Any]:
+def read_exr(path: Path, most_pixels: int) -> NDArray[Any]:
     """(H, W) depth of an EXR file: the channel Z, Y, depth or R, or its only one.
 
-    Raises IdRgbdoError without the package OpenEXR, or for a file that is damaged or has no such channel.
+    Raises IdRgbdoError without the package OpenEXR, or for a file that is damaged, has more than `most_pixels` or no
+    such channel.
     """
     try:
         import OpenEXR
@@ -26,13 +28,24 @@ def read_exr(path: Path) -> NDArray[Any]:
             f'{path}: reading EXR needs OpenEXR ({error}); run `pip install "idrgbdo_torch[exr]"`, '
             "or save the depth as 16-bit PNG, float TIFF or .npy"
         ) from error
+    if not is_plain_file(path):
+        raise IdRgbdoError(f"image: cannot read '{path}': there is no such file; check the list that names it")
     try:
         with path.open("rb") as file:
             if file.read(4) != SIGNATURE:
                 raise IdRgbdoError(f"{path}: expected an EXR image, got something else; copy or download it again")
+        window = OpenEXR.File(str(path), header_only=True).header()["dataWindow"]
+        width, height = (np.array(window[1], np.int64) - np.array(window[0], np.int64) + 1).tolist()
+        if not 0 < width * height <= most_pixels:
+            raise IdRgbdoError(
+                f"{path}: expected an image of at most {most_pixels >> 20} million pixels, got {width}x{height}; "
+                "replace it, or resize the images"
+            )
         content = OpenEXR.File(str(path), separate_channels=True)
         channels = {name: np.asarray(channel.pixels) for name, channel in content.channels().items()}
-    except (OSError, RuntimeError, ValueError) as error:
+    except IdRgbdoError:
+        raise
+    except (*DAMAGE, RuntimeError) as error:
         raise IdRgbdoError(f"{path}: cannot read the image ({error}); copy or download it again") from error
     bare = {name.rsplit(".", 1)[-1].lower(): pixels for name, pixels in channels.items()}  # of layers, too
     for name in DEPTH_CHANNELS:

@@ -10,6 +10,7 @@ from ..trajectory import read_tum
 from .by_name import pair_by_names
 from .calibration import find_calibration
 from .pairing import images, reader
+from .poses import usable
 from .recording import Options, Recording
 
 COLOR_FOLDERS = ("rgb", "color", "colour", "image", "images")
@@ -45,7 +46,7 @@ def read(folder: Path, options: Options) -> Recording:
         where = f"{color[0].parent.name}/ and {depth[0].parent.name}/"
     calibration = find_calibration(folder, options.camera)
     paired = pair_by_names(color, depth, folder, calibration.fps, options.association_limit_s)
-    truth = folder / "groundtruth.txt"
+    truth, unread = usable(read_tum, folder / "groundtruth.txt", None)
     return Recording(
         name=folder.resolve().name,
         title=f"folder of images, {where}, {paired.how}",
@@ -53,8 +54,8 @@ def read(folder: Path, options: Options) -> Recording:
         read=reader([(a, b) for _, a, b in paired.frames]),
         calibration=calibration,
         depth_scale=DEPTH_SCALE,
-        groundtruth=read_tum(truth) if truth.exists() else None,
-        warnings=paired.warnings,
+        groundtruth=truth,
+        warnings=(*paired.warnings, *unread),
     )
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import IdRgbdoError
+from ..text.files import unreadable
 from . import folder, icl_nuim, redwood, replica, ros, scannet, seven_scenes, tum
 from .calibration import EXAMPLE
 from .recording import Options, Recording
@@ -48,13 +50,18 @@ def read_recording(path: Path, options: Options, name: str | None = None) -> Rec
         near = difflib.get_close_matches(name, FORMATS, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"the formats are {', '.join(FORMATS)}"
         raise IdRgbdoError(f"format: no format '{name}'; {hint}")
-    if not path.exists():
+    if not os.path.exists(path):
         raise IdRgbdoError(f"sequence: expected a folder at '{path}', found nothing; check the path")
+    if not (path.is_dir() or path.is_file()):
+        raise IdRgbdoError(f"sequence: expected a folder at '{path}', found a pipe or a device; check the path")
     if name is None:
         name = "tum" if options.associations is not None else guess(path)
     if name != "ros" and not path.is_dir():
         raise IdRgbdoError(f"sequence: expected a folder at '{path}', found a file; check the path")
-    return FORMATS[name].read(path, options)
+    try:
+        return FORMATS[name].read(path, options)
+    except OSError as error:  # of a folder that may not be listed, or is gone meanwhile
+        raise unreadable(Path(error.filename or path), error, "sequence", "check its rights") from error
 
 
 def guess(path: Path) -> str:

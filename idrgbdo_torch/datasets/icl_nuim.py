@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import IdRgbdoError
+from ..text.files import damage_named, is_plain_file, read_bytes, read_text
 from ..trajectory import read_tum
 from .builder import RawPair
 from .calibration import ICL_NUIM, ICL_NUIM_NAME, Calibration, find_calibration
-from .images import read_color
+from .images import MOST_BYTES, MOST_PIXELS, read_color
 from .pairing import FPS, numbered, reader
-from .poses import Matrix, reference
+from .poses import Matrix, pose_files, reference, usable
 from .recording import Options, Recording
 from .tum import DEPTH_SCALE, read_associations
 
@@ -36,7 +37,7 @@ def recognise(path: Path) -> bool:
     """
     if any(path.glob("scene_*.depth")):
         return True
-    if (path / "rgb.txt").exists() or not (path / "associations.txt").is_file():
+    if (path / "rgb.txt").exists() or not is_plain_file(path / "associations.txt"):
         return False
     named = re.search(ICL_NUIM_NAME, path.resolve().name, re.IGNORECASE) is not None
     return named or any(path.glob("*.gt.freiburg"))
@@ -53,10 +54,12 @@ def _read_pngs(folder: Path, calibration: Calibration) -> Recording:
     frames = [(round(number), color, depth) for number, color, depth in listed]
     fps = calibration.fps or FPS
     poses: dict[int, Matrix] = {}
+    unread: tuple[str, ...] = ()
     for path in sorted(folder.glob("*.gt.freiburg"))[:1]:
-        truth = read_tum(path)
-        numbers = [round(time) for time in truth.timestamps.tolist()]
-        poses = {number: M @ T @ M for number, T in zip(numbers, truth.T_world_cam.numpy(), strict=True)}
+        truth, unread = usable(read_tum, path, None)
+        numbers = [round(time) for time in truth.timestamps.tolist()] if truth else []
+        T_world_cam = truth.T_world_cam.numpy() if truth else ()
+        poses = {number: M @ T @ M for number, T in zip(numbers, T_world_cam, strict=True)}
     return Recording(
         name=folder.resolve().name,
         title="ICL-NUIM, PNG files",
@@ -65,6 +68,7 @@ def _read_pngs(folder: Path, calibration: Calibration) -> Recording:
         calibration=calibration,
         depth_scale=DEPTH_SCALE,
         groundtruth=reference({number: number / fps for number, _, _ in frames}, poses),
+        warnings=unread,
     )
 
 
@@ -76,7 +80,7 @@ def _read_povray(folder: Path, calibration: Calibration) -> Recording:
             f"sequence: expected scene_*.png beside the .depth files of '{folder}', found none; add them"
         )
     files = list(images.values())
-    poses = {n: _pose(path.with_suffix(".txt")) for n, path in images.items() if path.with_suffix(".txt").exists()}
+    poses, unread = pose_files([(number, path.with_suffix(".txt")) for number, path in images.items()], _pose)
 
     def read_pair(index: int) -> RawPair:
         color = read_color(files[index])
@@ -92,15 +96,15 @@ def _read_povray(folder: Path, calibration: Calibration) -> Recording:
         calibration=calibration,
         depth_scale=1.0,
         groundtruth=reference({number: number / fps for number in images}, poses),
+        warnings=unread,
     )
 
 
 def _read_ray_depth(path: Path, height: int, width: int) -> NDArray[np.float32]:
     """(H, W) metres from the camera's centre to the surface."""
-    try:
-        numbers = np.array(path.read_bytes().split(), dtype=np.float32)
-    except (OSError, ValueError) as error:
-        raise IdRgbdoError(f"{path}: cannot read the depth ({error}); download it again") from error
+    data = read_bytes(path, MOST_BYTES, "image", "download it again")
+    with damage_named(str(path), "the depth of each pixel", "download it again"):
+        numbers = np.array(data.split(maxsplit=MOST_PIXELS), dtype=np.float32)
     if len(numbers) != height * width:
         raise IdRgbdoError(f"{path}: expected {height * width} numbers, got {len(numbers)}; download it again")
     return numbers.reshape(height, width) / np.float32(100)
@@ -115,16 +119,18 @@ def _ray_lengths(calibration: Calibration, height: int, width: int) -> NDArray[n
 
 def _pose(path: Path) -> Matrix:
     """T_world_cam of the lines `cam_pos = [x, y, z]'` (centimetres), `cam_dir`, `cam_up`; NaN where one is missing."""
-    text = path.read_text(encoding="utf-8", errors="replace")
+    text = read_text(path, "pose")
     vectors = {}
     for name, numbers in re.findall(r"(cam_pos|cam_dir|cam_up)\s*=\s*\[([^\]]*)\]", text):
         fields = numbers.replace(",", " ").split()
-        vectors[name] = np.array([float(field) for field in fields]) if len(fields) == 3 else np.full(3, np.nan)
+        with damage_named(str(path), f"the numbers of {name}", "download it again"):
+            vectors[name] = np.array([float(field) for field in fields]) if len(fields) == 3 else np.full(3, np.nan)
     if len(vectors) < 3:
         return np.full((4, 4), np.nan)
-    z = vectors["cam_dir"] / np.linalg.norm(vectors["cam_dir"])
-    x = np.cross(vectors["cam_up"], z)
-    x /= np.linalg.norm(x)
-    T = np.eye(4)
-    T[:3] = np.column_stack([x, np.cross(z, x), z, vectors["cam_pos"] / 100])
-    return np.asarray(M @ T @ M)
+    with np.errstate(all="ignore"):  # NaN for directions that are none
+        z = vectors["cam_dir"] / np.linalg.norm(vectors["cam_dir"])
+        x = np.cross(vectors["cam_up"], z)
+        x /= np.linalg.norm(x)
+        T = np.eye(4)
+        T[:3] = np.column_stack([x, np.cross(z, x), z, vectors["cam_pos"] / 100])
+        return np.asarray(M @ T @ M)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import os
+import io
 import struct
+import warnings
 import zipfile
 import zlib
 from pathlib import Path
@@ -14,7 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import IdRgbdoError
+from ..text.files import DAMAGE, plain_bytes
+from ..text.plain import shown
 from .exr import read_exr
+from .image_size import declared_size
 from .jpeg import decode_jpeg
 from .png import SIGNATURE as PNG_SIGNATURE
 from .png import decode_png
@@ -24,6 +28,8 @@ IMAGE_SUFFIXES = frozenset(
     (".png", ".jpg", ".jpeg", ".jpe", ".jp2", ".bmp", ".dib", ".tif", ".tiff", ".webp", ".avif", ".gif", ".pbm", ".pgm")
     + (".ppm", ".pnm", ".pxm", ".pam", ".pfm", ".sr", ".ras", ".hdr", ".pic", ".npy", ".npz", ".exr")
 )
+MOST_PIXELS = 1 << 24  # of an image: 4096x4096, more than any depth camera has; memory is made for them
+MOST_BYTES = 32 * MOST_PIXELS  # of its file: four channels of 64 bits
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 JPEG_TAIL = 1024  # bytes in which the end marker must stand; some cameras pad
 
@@ -42,7 +48,7 @@ def read_depth(path: Path) -> NDArray[Any]:
     if suffix in (".npy", ".npz"):
         return as_depth(_read_array(path), str(path))
     if suffix == ".exr":
-        return as_depth(read_exr(path), str(path))
+        return as_depth(read_exr(path, MOST_PIXELS), str(path))
     return decode_depth(_bytes(path), str(path))
 
 
@@ -64,9 +70,11 @@ def as_depth(image: NDArray[Any], where: str) -> NDArray[Any]:
     Raises IdRgbdoError for eight bits, which hold no depth, for colours, and for anything that is no image.
     """
     plain = _one_channel(image)
-    channels = 1 if plain.ndim == 2 else plain.shape[-1]
+    refuse_size(plain.shape[::-1][:2] if plain.ndim == 2 else (plain.size, 1), where)
+    channels = plain.shape[-1] if plain.ndim > 2 else 1
     if plain.ndim == 2 and plain.dtype.kind == "f":
-        return plain.astype(np.float32)
+        with np.errstate(over="ignore"):  # infinity is unknown depth
+            return plain.astype(np.float32)
     if plain.ndim == 2 and plain.dtype.kind in "iu" and plain.dtype.itemsize > 1:
         return plain.astype(plain.dtype.newbyteorder("="), copy=False)
     if plain.ndim == 2 and plain.dtype.itemsize == 1:
@@ -92,40 +100,55 @@ def _one_channel(image: NDArray[Any]) -> NDArray[Any]:
 def _read_array(path: Path) -> NDArray[Any]:
     """The array of a .npy file, or the one of a .npz file, the one called depth where there are several."""
     again = "write it again with numpy.save"
+    data = _bytes(path)
     try:
-        content = np.load(path, allow_pickle=False)
-        if not isinstance(content, np.lib.npyio.NpzFile):
-            return np.asarray(content)
-        with content:
-            names = [name for name in content.files if len(content.files) == 1 or "depth" in name.lower()]
+        if not zipfile.is_zipfile(io.BytesIO(data)):
+            return _array(data)
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = [name.removesuffix(".npy") for name in archive.namelist()]
+            names = [k for k, name in enumerate(members) if len(members) == 1 or "depth" in name.lower()]
             if len(names) == 1:
-                return np.asarray(content[names[0]])
-            there = ", ".join(content.files) or "nothing"
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise IdRgbdoError(f"{path}: cannot read the depth ({error}); {again}") from error
+                member = archive.infolist()[names[0]]
+                if member.file_size > MOST_BYTES:
+                    raise ValueError(f"an array of more than {MOST_BYTES >> 20} MB")
+                return _array(archive.read(member))
+            there = shown(", ".join(members), quoted=False) or "nothing"
+    except (*DAMAGE, RuntimeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise IdRgbdoError(f"{path}: cannot read the depth ({shown(error, quoted=False)}); {again}") from error
     raise IdRgbdoError(f"{path}: expected one array called depth, found {there}; {again}")
+
+
+def _array(data: bytes) -> NDArray[Any]:
+    """The array of .npy text. Whatever numpy raises for others comes out."""
+    with warnings.catch_warnings():  # of shapes that overflow
+        warnings.simplefilter("ignore")
+        return np.asarray(np.lib.format.read_array(io.BytesIO(data), allow_pickle=False))
 
 
 def _bytes(path: Path) -> bytes:
     try:
-        return _content(path)
+        return plain_bytes(path, MOST_BYTES)
     except OSError as error:
         raise IdRgbdoError(f"{path}: cannot read the image ({error.strerror}); check the list that names it") from error
 
 
-def _content(path: Path) -> bytes:
-    """As Path.read_bytes with half its system calls, each of which gives up Python's lock and then waits for it."""
-    file = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
-    try:
-        size = os.fstat(file).st_size
-        data = os.read(file, size)
-        return data if 0 < len(data) == size else path.read_bytes()  # in parts, or no plain file
-    finally:
-        os.close(file)
+def refuse_size(size: tuple[int, ...], where: str) -> None:
+    """Raises IdRgbdoError for images of (width, height) px that no camera has, or none at all."""
+    width, height = size
+    if width * height > MOST_PIXELS:
+        raise IdRgbdoError(
+            f"{where}: expected an image of at most {MOST_PIXELS >> 20} million pixels, got {width}x{height}; "
+            "replace it, or resize the images"
+        )
+    if width * height == 0:
+        raise IdRgbdoError(f"{where}: expected an image, got one of {width}x{height} pixels; replace it")
 
 
 def _decode(data: bytes, where: str, flags: int) -> NDArray[Any]:
     color = flags != cv2.IMREAD_UNCHANGED
+    size = declared_size(data)
+    if size is not None:
+        refuse_size(size, where)
     image = decode_png(data, color=color)  # looks for damage itself
     if image is not None:
         return image
@@ -134,7 +157,11 @@ def _decode(data: bytes, where: str, flags: int) -> NDArray[Any]:
         raise IdRgbdoError(f"{where}: {damage}; copy or download it again")
     image = decode_jpeg(data) if color else None
     if image is None:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        try:
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        except cv2.error as error:
+            why = shown(str(error).strip().splitlines()[-1].strip(), quoted=False)
+            raise IdRgbdoError(f"{where}: OpenCV cannot decode the image ({why}); replace it") from error
     if image is None:
         raise IdRgbdoError(f"{where}: expected an image that OpenCV can decode, got {len(data)} bytes; replace it")
     return np.asarray(image)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,9 +12,13 @@ from pathlib import Path
 from ..errors import IdRgbdoError
 from ..text.clock import in_seconds, unit_of
 from ..text.files import read_text
+from ..text.plain import shown
+from ..text.tum import LATEST
 from .images import IMAGE_SUFFIXES
 
 MOST_REPEATED = 0.1  # of a list's lines; a clock that repeats more is none
+MOST_FIELDS = 64  # of a line whose names of images hold blanks
+LONGEST_PATH = 4096  # letters
 STEP_BACK_S = 1.0  # a longer one is a clock that was set back
 NUMBER_FRAMES = (
     "number the frames instead: remove or rename the lists, so that the images are paired by the numbers in their "
@@ -49,8 +54,8 @@ class ImageList:
         repeats = len(self.entries) - different
         if not repeats:
             return ()
-        times = [time for time, _ in self.entries]
-        place = next(k for k, time in enumerate(times) if time in times[:k])
+        first: dict[float, int] = {}
+        place = next(k for k, (time, _) in enumerate(self.entries) if first.setdefault(time, k) != k)
         said = f"{self.path}: {repeats} of {len(self.entries)} lines repeat a time, first line {self.lines[place]}"
         if repeats > MOST_REPEATED * len(self.entries):
             raise IdRgbdoError(
@@ -121,10 +126,7 @@ def _columns(path: Path, columns: int) -> list[ImageList]:
 
 def _lines(path: Path, columns: int) -> list[tuple[int, list[str]]]:
     """Line numbers and fields, without comments and a header. Raises IdRgbdoError for other columns, or no line."""
-    try:
-        text = read_text(path)
-    except (OSError, UnicodeDecodeError) as error:
-        raise IdRgbdoError(f"sequence: cannot read '{path}': {error}; expected a text file") from error
+    text = read_text(path, "sequence")
     numbered = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1)]
     lines = [(number, line) for number, line in numbered if line and not line.startswith(("#", "//", "%"))]
     if len(lines) > 1 and not any(letter.isdigit() for letter in lines[0][1]):  # a header
@@ -159,7 +161,7 @@ def _fields(line: str, columns: int) -> list[str]:
 def _with_blanks(fields: list[str], columns: int) -> list[str]:
     """A time, then a name up to the field that ends like an image; the fields as they are where that does not fit."""
     joined: list[str] = []
-    rest = list(fields)
+    rest = list(fields) if len(fields) <= MOST_FIELDS else []
     while rest:
         joined.append(rest.pop(0))
         end = next((k for k, field in enumerate(rest) if NAME.search(field)), None)
@@ -172,11 +174,15 @@ def _with_blanks(fields: list[str], columns: int) -> list[str]:
 
 def _number(path: Path, number: int, field: str) -> float:
     """A time as it is written; whole numbers keep all their digits."""
+    said = f"{path}, line {number}: expected a timestamp, got '{shown(field, quoted=False)}'; correct the line"
     try:
         plain = field.replace(",", ".")
-        return int(plain) if plain.isdigit() else float(plain)
+        value = int(plain) if plain.isdecimal() else float(plain)
     except ValueError as error:
-        raise IdRgbdoError(f"{path}, line {number}: expected a timestamp, got '{field}'; correct the line") from error
+        raise IdRgbdoError(said) from error
+    if not abs(value) < LATEST:  # nor NaN
+        raise IdRgbdoError(said)
+    return value
 
 
 def _file(path: Path, name: str) -> Path:
@@ -186,14 +192,18 @@ def _file(path: Path, name: str) -> Path:
     that is named like the list.
     """
     beside = path.parent / name
-    if beside.exists():
+    if os.path.exists(beside) or len(name) > LONGEST_PATH:
         return beside
     parts = [part for part in re.split(r"[\\/]", name) if part not in ("", ".")]
     places = [path.parent.joinpath(*parts[k:]) for k in range(len(parts))]
     places.append(path.parent / path.stem / parts[-1] if parts else beside)
-    return next((place for place in places if place.exists()), beside)
+    return next((place for place in places if os.path.exists(place)), beside)
 
 
 def _natural(file: Path) -> list[tuple[int, str]]:
-    """A key that sorts names as people do: image9 before image10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file.name) if part]
+    """A key that sorts names as people do: image9 before image10. Numbers may have any length."""
+    parts = [part for part in re.split(r"(\d+)", file.name) if part]
+    numbers = [part.lstrip("0") if part.isdecimal() else None for part in parts]
+    return [
+        (-1, part) if number is None else (len(number), number) for part, number in zip(parts, numbers, strict=True)
+    ]

@@ -64,7 +64,7 @@ def _columns(files: Sequence[Path]) -> Columns:
 def _stem(path: Path) -> str:
     """The name without suffix; a whole number of seconds since 1970 with the point that its neighbours have."""
     whole = path.stem.removesuffix(".")
-    return f"{whole}.0" if whole.isdigit() and _is_epoch(whole) else path.stem
+    return f"{whole}.0" if whole.isdecimal() and _is_epoch(whole) else path.stem
 
 
 @dataclass(frozen=True)

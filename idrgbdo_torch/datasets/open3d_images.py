@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import IdRgbdoError
 from ..tracker.open3d_loader import load_open3d
 from .builder import RawPair
-from .calibration import Calibration, find_calibration
+from .calibration import Calibration, believed, find_calibration
 
 
 def raw_pair(image: Any) -> RawPair:
@@ -37,11 +37,12 @@ def calibration_of(intrinsics: Any, camera: Path | None) -> Calibration:
     if camera is not None:
         return find_calibration(camera.parent, camera)
     K = np.asarray(intrinsics.intrinsic_matrix)
-    return Calibration(
+    stated = Calibration(
         *(float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])),
         width=int(intrinsics.width),
         height=int(intrinsics.height),
     )
+    return believed(stated, "camera")
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TypeVar
 import torch
 
 from ..errors import IdRgbdoError
+from ..text.files import unreadable
 from ..trajectory import associate, nearest
 from .builder import RawPair
 from .images import IMAGE_SUFFIXES, read_color, read_depth
@@ -39,7 +41,10 @@ def pair_by_time(
 
 def images(folder: Path) -> list[Path]:
     """The image files of a folder, by name; none where there is no folder."""
-    files = folder.iterdir() if folder.is_dir() else ()
+    try:
+        files = list(folder.iterdir()) if folder.is_dir() else []
+    except OSError as error:
+        raise unreadable(folder, error, "sequence", "check its rights") from error
     return sorted(p for p in files if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith("."))
 
 
@@ -103,10 +108,10 @@ def unpaired_warning(
 def missing_files(pairs: Sequence[FilePair]) -> tuple[str, ...]:
     """A sentence where a list names files that are not there."""
     files = [path for pair in pairs for path in pair]
-    missing = [path for path in files if not path.exists()]
+    missing = [path for path in files if not os.path.exists(path)]
     if not missing:
         return ()
-    frames = sum(not (a.exists() and b.exists()) for a, b in pairs)
+    frames = sum(not (os.path.exists(a) and os.path.exists(b)) for a, b in pairs)
     return (
         f"{len(missing)} of {len(files)} listed image files do not exist, so that {frames} of {len(pairs)} frames are "
         f"lost; the first is '{missing[0]}'",

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from ..errors import IdRgbdoError
-from ..text.files import read_text
+from ..text.files import damage_named, read_text
 from ..trajectory import Trajectory
 
 Matrix = NDArray[np.float64]
+T = TypeVar("T")
+NO_POSES: Matrix = np.zeros((0, 4, 4))
+FARTHEST_M = 1e9  # from the origin; a number beyond is no position
 
 
 def matrices(path: Path, columns: int = 4) -> Matrix:
@@ -22,10 +27,7 @@ def matrices(path: Path, columns: int = 4) -> Matrix:
     columns: 4 for whole matrices, 3 for their upper three rows. Raises IdRgbdoError for anything else.
     """
     count = 4 * columns
-    try:
-        numbers = np.array(read_text(path).split(), dtype=np.float64)
-    except (OSError, ValueError) as error:
-        raise IdRgbdoError(f"{path}: cannot read the poses ({error}); expected {count} numbers a pose") from error
+    numbers = _numbers(path, f"{count} numbers a pose")
     if len(numbers) == 0 or len(numbers) % count:
         raise IdRgbdoError(f"{path}: expected {count} numbers a pose, got {len(numbers)} numbers; correct the file")
     poses = np.tile(np.eye(4), (len(numbers) // count, 1, 1))
@@ -40,17 +42,42 @@ def log_poses(path: Path) -> dict[int, Matrix]:
     Raises IdRgbdoError for another format.
     """
     expected = "expected five lines a pose: `i i i+1`, then the 4x4 matrix"
-    try:
-        numbers = np.array(read_text(path).split(), dtype=np.float64)
-    except (OSError, ValueError) as error:
-        raise IdRgbdoError(f"{path}: cannot read the poses ({error}); {expected}") from error
+    numbers = _numbers(path, expected.removeprefix("expected "))
     if len(numbers) == 0 or len(numbers) % 19:
         raise IdRgbdoError(f"{path}: {expected}, got {len(numbers)} numbers; correct the file")
     rows = numbers.reshape(-1, 19)
+    if not (np.abs(rows[:, :3]) < 1e15).all():
+        raise IdRgbdoError(f"{path}: {expected}, got other numbers for i; correct the file")
     frames = rows[:, 2].astype(int) - 1
     if len(set(frames.tolist())) < len(rows):
         frames = np.arange(len(rows))
     return dict(zip(frames.tolist(), rows[:, 3:].reshape(-1, 4, 4), strict=True))
+
+
+def _numbers(path: Path, expected: str) -> Matrix:
+    """(N,) all numbers of a text file. Raises IdRgbdoError, naming the line, for a word that is none."""
+    lines = read_text(path, "poses", f"expected {expected}").splitlines()
+    with damage_named(str(path), expected, "correct the file"):
+        try:
+            return np.array([field for line in lines for field in line.split()], dtype=np.float64)
+        except ValueError:
+            for number, line in enumerate(lines, start=1):
+                with damage_named(f"{path}, line {number}", expected, "correct the line"):
+                    np.array(line.split(), dtype=np.float64)
+            raise
+
+
+def usable(read: Callable[[Path], T], path: Path, nothing: T) -> tuple[T, tuple[str, ...]]:
+    """What `read` makes of a file with reference poses, and a sentence where it cannot: that costs the reference only.
+
+    nothing: what is given then, and where there is no such file.
+    """
+    if not os.path.lexists(path):
+        return nothing, ()
+    try:
+        return read(path), ()
+    except IdRgbdoError as error:
+        return nothing, (f"no ground truth: {error}",)
 
 
 def by_frame(
@@ -90,15 +117,34 @@ def by_frame(
 def reference(times: Mapping[int, float], poses: Mapping[int, Matrix]) -> Trajectory | None:
     """The poses (T_world_cam by frame number) of the frames that have a time (s); None where there is none.
 
-    Poses that are marked as unknown (not finite) are left out.
+    Poses that are marked as unknown (not finite), and what is no rigid motion at all, are left out.
     """
-    known = [number for number in sorted(times) if number in poses and bool(np.isfinite(poses[number]).all())]
+    known = [number for number in sorted(times) if number in poses and is_pose(poses[number])]
     if not known:
         return None
     stamps = torch.tensor([times[number] for number in known], dtype=torch.float64)
     return Trajectory(stamps, torch.from_numpy(np.stack([poses[number] for number in known])))
 
 
-def pose_files(files: Sequence[tuple[int, Path]]) -> dict[int, Matrix]:
-    """T_world_cam by frame number of files with one matrix each; missing files are left out."""
-    return {number: matrices(path)[0] for number, path in files if path.exists()}
+def is_pose(T_world_cam: Matrix) -> bool:
+    """Whether a (4, 4) matrix is finite and near a rigid motion."""
+    return bool((np.abs(T_world_cam) < FARTHEST_M).all()) and bool(np.abs(T_world_cam[:3, :3]).max() < 2)
+
+
+def pose_files(
+    files: Sequence[tuple[int, Path]], read: Callable[[Path], Matrix] = lambda path: matrices(path)[0]
+) -> tuple[dict[int, Matrix], tuple[str, ...]]:
+    """T_world_cam by frame number of files with one pose each, and a sentence where some cannot be read.
+
+    Missing files are left out.
+    """
+    poses, unread = {}, []
+    for number, path in files:
+        if os.path.lexists(path):
+            try:
+                poses[number] = read(path)
+            except IdRgbdoError as error:
+                unread.append(str(error))
+    if not unread:
+        return poses, ()
+    return poses, (f"{len(unread)} poses cannot be read, so that their frames have no reference; {unread[0]}",)

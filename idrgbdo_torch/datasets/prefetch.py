@@ -31,7 +31,7 @@ def prefetch(
     closing the iterator, or dropping it, ends the threads: what has not begun is not read any more.
     """
     pending: deque[Future[T]] = deque()
-    pool = ThreadPoolExecutor(threads or decoding_threads(), thread_name_prefix="prefetch")
+    pool = ThreadPoolExecutor(min(threads or decoding_threads(), ahead), thread_name_prefix="prefetch")
     try:
         for key in keys:
             pending.append(pool.submit(read, key))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -13,25 +12,16 @@ from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from ..tracker.open3d_loader import load_open3d
 from ..trajectory import Trajectory
+from .bag_files import index_head
 from .builder import FrameBuilder
 from .depth_scale import depth_warnings
 from .open3d_images import calibration_of, open3d_speaks, raw_pair
 from .recording import Options
 
-INDEX_POSITION = b"index_pos="  # in the header of a bag: where its topics are listed
-
 
 def is_realsense(path: Path) -> bool:
     """Whether a .bag has the topics of Intel's own recorder. Any other file is none."""
-    if path.suffix != ".bag" or not path.is_file():
-        return False
-    with path.open("rb") as file:
-        head = file.read(4096)
-        at = head.find(INDEX_POSITION) + len(INDEX_POSITION)
-        if at < len(INDEX_POSITION) or len(head) < at + 8:
-            return False
-        file.seek(struct.unpack_from("<Q", head, at)[0])
-        return b"/device_0/sensor_0/" in file.read()
+    return path.suffix == ".bag" and b"/device_0/sensor_0/" in index_head(path)
 
 
 class RealSenseRecording:

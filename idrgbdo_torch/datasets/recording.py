@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,16 @@ from ..definitions.camera import Pinhole
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from ..trajectory import Trajectory
-from .builder import FrameBuilder, RawPair, refuse_swapped_bytes
+from .builder import FrameBuilder, RawPair, unreadable_named, with_swapped_bytes
 from .calibration import Calibration
 from .depth_scale import depth_reading
-from .prefetch import prefetch
+from .prefetch import AHEAD, prefetch
+from .usual import usual_pair
 
-LOOK_AT = 30  # frames that may be broken before the first good one
+AHEAD_BYTES = 256 << 20  # of the frames that are decoded ahead, about; frames of the usual size are few MB
+
+
+LEAST_SCALE, MOST_SCALE = 1e-3, 1e9  # depth values per metre
 
 
 @dataclass(frozen=True)
@@ -44,9 +48,14 @@ class Options:
         ):
             if value is not None and value < least:
                 raise IdRgbdoError(f"{name}: expected at least {least}, got {value}; change it")
-        if self.depth_scale is not None and not self.depth_scale > 0:
+        if self.depth_scale is not None and not LEAST_SCALE <= self.depth_scale <= MOST_SCALE:
             raise IdRgbdoError(
-                f"depth_scale: expected depth values per metre, above 0, got {self.depth_scale}; change it"
+                f"depth_scale: expected depth values per metre, above 0 (from {LEAST_SCALE:g} to {MOST_SCALE:g}), "
+                f"got {self.depth_scale}; change it"
+            )
+        if not 0 <= self.association_limit_s < float("inf"):
+            raise IdRgbdoError(
+                f"association_limit_s: expected seconds, at least 0, got {self.association_limit_s}; change it"
             )
 
     def choose(self, frames: int) -> range:
@@ -76,24 +85,30 @@ class RecordedSequence:
     """A recording as frames. They are decoded a few ahead of their turn, so memory does not grow with its length."""
 
     def __init__(self, recording: Recording, options: Options) -> None:
-        """Choose the frames and read the first good one, which tells the image size.
+        """Choose the frames and read some of them, most of which tell the image size.
 
-        Raises IdRgbdoError where no frame is left or the first ones cannot be read.
+        Raises IdRgbdoError where no frame is left or none can be read.
         """
-        self._recording = recording
+        self._recording = recording = replace(recording, read=unreadable_named(recording.read))
         self.reopen: tuple[Any, ...] | None = None  # a function that opens it again, and its arguments
         self._chosen = options.choose(len(recording.timestamps))
         self.name = recording.name
         self.timestamps = [recording.timestamps[index] for index in self._chosen]  # s, of the colour images
         self.groundtruth: Trajectory | None = recording.groundtruth
-        color, depth = self._first_pair()
-        refuse_swapped_bytes(depth)
+        stated = recording.calibration.height, recording.calibration.width
+        _, (color, depth) = usual_pair(recording.read, self._chosen, stated)
+        if with_swapped_bytes(depth) and all(map(with_swapped_bytes, self._later_depths())):
+            raise IdRgbdoError(with_swapped_bytes(depth))
         in_file = recording.calibration.depth_scale
         reading = depth_reading(depth, self._later_depths, options.depth_scale, in_file, recording.depth_scale)
         self.depth_scale = reading.scale
-        self._builder = FrameBuilder(recording.calibration, color, reading.scale, reading.unknown)
+        self._builder = FrameBuilder(
+            recording.calibration, color, reading.scale, reading.unknown, depth.dtype.kind == "f"
+        )
         self.camera: Pinhole = self._builder.camera
-        self._builder.frame(0.0, color, depth)  # colour and depth must fit each other
+        built = self._builder.frame_or_reason(0.0, lambda: (color, depth))
+        if isinstance(built, BrokenFrame):  # colour and depth must fit each other
+            raise IdRgbdoError(built.reason)
         size_doubt = recording.calibration.size_doubt(self.camera.width, self.camera.height)
         self.warnings = [*recording.warnings, *reading.warnings, *filter(None, [size_doubt])]
 
@@ -116,7 +131,10 @@ class RecordedSequence:
     def frames(self, first: int = 0) -> Iterator[RgbdFrame | BrokenFrame]:
         """The frames from number `first` on, decoded ahead where the format allows it."""
         numbers = range(first, len(self))
-        return prefetch(self.read, numbers) if self._recording.any_thread else map(self.read, numbers)
+        if not self._recording.any_thread:
+            return map(self.read, numbers)
+        ahead = AHEAD_BYTES // (11 * self.camera.width * self.camera.height)  # gray, depth and colour of a frame
+        return prefetch(self.read, numbers, ahead=min(AHEAD, max(ahead, 1)))
 
     def __getitem__(self, index: int) -> RgbdFrame | BrokenFrame:
         """Frame number `index`, from the end where it is negative, so that a torch DataLoader takes a sequence."""
@@ -133,17 +151,6 @@ class RecordedSequence:
         """Frame number `index`; a BrokenFrame with the reason where a file is missing, damaged or of another size."""
         number = self._chosen[index]
         return self._builder.frame_or_reason(self.timestamps[index], partial(self._recording.read, number))
-
-    def _first_pair(self) -> RawPair:
-        """The images of the first frame that can be read. Raises the first frame's error where none can."""
-        first_error: IdRgbdoError | None = None
-        spread = self._chosen[LOOK_AT :: max(len(self._chosen) // LOOK_AT, 1)]  # the first minute may be missing
-        for index in (*self._chosen[:LOOK_AT], *spread):
-            try:
-                return self._recording.read(index)
-            except IdRgbdoError as error:
-                first_error = first_error or error
-        raise first_error or IdRgbdoError("sequence: expected frames, got none; check the recording")
 
     def _later_depths(self) -> Iterator[NDArray[Any]]:
         """The raw depth of the frames in the middle and at the end, where they can be read."""

@@ -9,10 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..definitions.camera import Pinhole
-from .calibration import Calibration
+from ..errors import IdRgbdoError
+from .calibration import LEAST_FOCAL, Calibration
+from .images import MOST_PIXELS
 from .reproject import interpolate_surfaces, reproject
 
 Image32 = NDArray[np.float32]
+MOST_ENLARGED = 1e4  # times, which no image is
+ROWS = 64  # of an image that are calculated at a time, in float64
 SURFACE = 1.02  # ratio of neighbouring depths of one surface
 
 
@@ -56,7 +60,7 @@ class Registration:
         self._R, self._t = T_color_depth[:3, :3], T_color_depth[:3, 3].astype(np.float32)
         self._same_place = np.allclose(T_color_depth, np.eye(4), atol=1e-9)
         K_color = camera.matrix().numpy()
-        ratio = max(K_color[k, k] / self._K_depth[k, k] for k in (0, 1))
+        ratio = min(max(K_color[k, k] / self._K_depth[k, k] for k in (0, 1)), MOST_ENLARGED)
         self._enlarge = math.floor(ratio + 0.1) + 1  # so that the points lie less than a pixel apart
         self._coarse = ratio > 1.1
         # made when the depth image's size is known
@@ -69,6 +73,11 @@ class Registration:
 
     def depth(self, image: Image32) -> Image32:
         """(H, W) metres in the colour camera, 0 where unknown, of any size of depth image in metres."""
+        if min(self._K_depth[0, 0] / image.shape[1], self._K_depth[1, 1] / image.shape[0]) < LEAST_FOCAL:
+            raise IdRgbdoError(
+                f"depth: expected focal lengths of a depth camera of {image.shape[1]}x{image.shape[0]} pixels, got "
+                f"fx={self._K_depth[0, 0]:g}, fy={self._K_depth[1, 1]:g}; correct [depth] in the camera file"
+            )
         if self._same_place:
             return sampled(image, self._map_u, self._map_v, smooth=self._coarse)
         larger = self._enlarged(image) if self._enlarge > 1 else image
@@ -78,18 +87,29 @@ class Registration:
 
     def _enlarged(self, image: Image32) -> Image32:
         shape = (image.shape[0] * self._enlarge, image.shape[1] * self._enlarge)
+        if shape[0] * shape[1] > MOST_PIXELS:
+            raise IdRgbdoError(
+                f"depth: expected a depth camera about as fine as the colour camera, but each of its pixels covers "
+                f"{self._enlarge}x{self._enlarge} of colour's; correct fx and fy of [depth] in the camera file"
+            )
         if self._between is None or self._between[0].shape != shape:
-            v, u = (np.indices(shape) + 0.5) / self._enlarge - 0.5
-            self._between = u.astype(np.float32), v.astype(np.float32)
+            v, u = ((np.arange(size) + 0.5) / self._enlarge - 0.5 for size in shape)
+            self._between = (
+                np.ascontiguousarray(np.broadcast_to(u.astype(np.float32), shape)),
+                np.ascontiguousarray(np.broadcast_to(v.astype(np.float32)[:, None], shape)),
+            )
         return sampled(image, *self._between, smooth=self._coarse)
 
     def _rays(self, shape: tuple[int, int]) -> Image32:
         """(3, h, w) points at depth 1 of the depth camera, enlarged to (h, w) pixels, turned as the colour camera."""
         if self._turned is None or self._turned.shape[1:] != shape:
-            v, u = (np.indices(shape) + 0.5) / self._enlarge - 0.5  # a pixel's centre: (c + 0.5) k - 0.5
-            pixels = np.stack([u, v, np.ones(shape)])
-            turned = np.einsum("ij,jhw->ihw", self._R @ np.linalg.inv(self._K_depth), pixels)
-            self._turned = turned.astype(np.float32)
+            self._turned = np.empty((3, *shape), np.float32)
+            turn = self._R @ np.linalg.inv(self._K_depth)
+            for row in range(0, shape[0], ROWS):
+                part = self._turned[:, row : row + ROWS]
+                v, u = np.indices(part.shape[1:])  # a pixel's centre: (c + 0.5) k - 0.5
+                places = [(u + 0.5) / self._enlarge - 0.5, (v + row + 0.5) / self._enlarge - 0.5]
+                part[:] = np.einsum("ij,jhw->ihw", turn, np.stack([*places, np.ones(part.shape[1:])]))
         return self._turned
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from ..errors import IdRgbdoError
+from ..text.files import damage_named, is_plain_file, read_bytes, read_json
 from .by_name import pair_by_names
-from .calibration import Calibration, find_calibration
+from .calibration import Calibration, believed, find_calibration
 from .pairing import images, reader
-from .poses import by_frame, log_poses, reference
+from .poses import Matrix, by_frame, log_poses, reference, usable
 from .recording import Options, Recording
 
 COLOR_FOLDERS = ("color", "rgb", "image")
@@ -38,8 +38,8 @@ def read(folder: Path, options: Options) -> Recording:
         )
     paired = pair_by_names(of_color, of_depth, folder, calibration.fps, options.association_limit_s)
     times = {number: time for number, (time, _, _) in zip(paired.numbers, paired.frames, strict=True)}
-    log = folder / "trajectory.log"
-    poses, guessed = by_frame(log_poses(log), paired.numbers, paired.all_numbers) if log.exists() else ({}, ())
+    logged, unread = usable(log_poses, folder / "trajectory.log", dict[int, Matrix]())
+    poses, guessed = by_frame(logged, paired.numbers, paired.all_numbers)
     return Recording(
         name=folder.resolve().name,
         title=f"Open3D/Redwood layout, {paired.how}",
@@ -48,7 +48,7 @@ def read(folder: Path, options: Options) -> Recording:
         calibration=calibration,
         depth_scale=DEPTH_SCALE,
         groundtruth=reference(times, poses),
-        warnings=(*paired.warnings, *guessed),
+        warnings=(*paired.warnings, *unread, *guessed),
     )
 
 
@@ -57,17 +57,17 @@ def read_intrinsics(path: Path) -> Calibration:
 
     Raises IdRgbdoError for another content.
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+    advice = "write it with Open3D"
+    content = read_json(path, "camera", advice)
+    with damage_named(str(path), "width, height and an intrinsic_matrix of 9 numbers", advice):
         K = [float(number) for number in content["intrinsic_matrix"]]
-        return Calibration(K[0], K[4], K[6], K[7], width=int(content["width"]), height=int(content["height"]))
-    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
-        raise IdRgbdoError(
-            f"{path}: expected width, height and an intrinsic_matrix of 9 numbers ({error}); write it with Open3D"
-        ) from error
+        size = int(content["width"]), int(content["height"])
+        return believed(Calibration(K[0], K[4], K[6], K[7], width=size[0], height=size[1]), str(path))
 
 
 def _intrinsics_file(folder: Path) -> Path | None:
     """The JSON file that holds an intrinsic matrix, if any."""
-    small = (path for path in sorted(folder.glob("*.json")) if path.stat().st_size < 10_000)
-    return next((path for path in small if '"intrinsic_matrix"' in path.read_text(errors="replace")), None)
+    for path in sorted(folder.glob("*.json")):
+        if is_plain_file(path) and path.stat().st_size < 10_000 and b'"intrinsic_matrix"' in read_bytes(path, 10_000):
+            return path
+    return None

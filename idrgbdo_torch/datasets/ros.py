@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-import struct
+import time
 import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -15,12 +15,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import IdRgbdoError
+from ..text.files import is_named
+from ..text.plain import shown
+from .bag_files import check_files, damage, repair
 from .builder import RawPair
-from .calibration import Calibration, find_calibration
+from .calibration import Calibration, believed, find_calibration
 from .pairing import pair_by_time, unpaired_warning
-from .recording import LOOK_AT, Options, Recording
+from .recording import Options, Recording
 from .ros_images import DEPTH_HEADER, color_image, depth_image
 from .ros_topics import Topic, choose_topics
+from .usual import LOOK_AT
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -31,16 +35,14 @@ IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 Stamp = tuple[float, int]  # s of the header, ns at which it was recorded
 
-# what rosbags raises for damaged content besides its own errors
-DAMAGE = (
-    *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, OSError, RuntimeError, ValueError),
-    *(MemoryError, TypeError, struct.error),  # a damaged length asks for any amount of memory
-)
+SHORTEST_NS = 4_000_000  # of a recording, that are left out where it cannot be read
+MOST_DAMAGED = 2000  # times that reading may fail, before the whole recording counts as damaged
+MOST_SALVAGE_S = 60.0  # that may be spent on reading around damage
 
 
 def recognise(path: Path) -> bool:
     """Whether the file's or folder's name says so."""
-    return path.suffix in (".bag", ".mcap", ".db3") or (path / "metadata.yaml").is_file()
+    return path.suffix in (".bag", ".mcap", ".db3") or is_named(path / "metadata.yaml")
 
 
 def read(path: Path, options: Options) -> Recording:
@@ -74,7 +76,7 @@ def read(path: Path, options: Options) -> Recording:
         warnings=(
             *ambiguous,
             *unpaired_warning(of_color, of_depth, len(frames), options.association_limit_s),
-            *((f"{bag.damaged} damaged images are left out",) if bag.damaged else ()),
+            *((f"{bag.damaged} damaged images, or places in the recording, are left out",) if bag.damaged else ()),
             *(bag.frame_warnings(color, frames[0][1], depth, frames[0][2]) if options.camera is None else ()),
         ),
     )
@@ -86,7 +88,8 @@ class _Bag:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.reader = _open(path)
-        self.damaged = 0  # images that have not even a time
+        self.damaged = 0  # images that have not even a time, and places where none can be read
+        self._unreadable = 0  # such places, in what was read last
         weakref.finalize(self, self.reader.close)
 
     def topics(self, options: Options) -> tuple[Connection, Connection, tuple[str, ...]]:
@@ -109,8 +112,11 @@ class _Bag:
 
     def _frame_id(self, topic: Topic[Connection]) -> str:
         """The frame that the header of the topic's first message names."""
-        for _, data in self._messages(topic.connection):
-            return str(self._decode(data, topic.connection).header.frame_id)
+        for _, data in islice(self._messages(topic.connection), LOOK_AT):
+            try:
+                return str(self._decode(data, topic.connection).header.frame_id)
+            except IdRgbdoError:
+                continue
         return ""
 
     def stamps(self, connection: Connection) -> list[tuple[float, Stamp]]:
@@ -119,6 +125,7 @@ class _Bag:
         Raises IdRgbdoError for a recording that is damaged between the images, or has none.
         """
         found: dict[float, Stamp] = {}
+        self._unreadable = 0
         for recorded, data in self._messages(connection):
             try:
                 stamp = self._stamp(self._decode(data, connection))
@@ -127,6 +134,7 @@ class _Bag:
                 continue
             time = stamp if stamp > 0 else recorded / 1e9
             found[time] = (stamp, recorded)
+        self.damaged += self._unreadable
         if not found:
             raise IdRgbdoError(f"{self._path}: expected images in '{connection.topic}', got none; name another topic")
         return sorted(found.items())
@@ -147,9 +155,15 @@ class _Bag:
         for connection in infos:
             if connection.topic.rsplit("/", 1)[0] == namespace:
                 where = f"{self._path}, {connection.topic}"
-                for _, data in self._messages(connection):
-                    with _damage_named(where):
-                        return _calibration(self._decode(data, connection), "rect" in color_topic, where)
+                first_error = None
+                for _, data in islice(self._messages(connection), LOOK_AT):
+                    try:
+                        with _damage_named(where):
+                            return _calibration(self._decode(data, connection), "rect" in color_topic, where)
+                    except IdRgbdoError as error:
+                        first_error = first_error or error
+                if first_error is not None:
+                    raise first_error
         raise IdRgbdoError(
             f"{self._path}: expected '{namespace}/camera_info', found {', '.join(c.topic for c in infos) or 'none'}; "
             "pass --camera F.toml with fx, fy, cx, cy"
@@ -157,7 +171,10 @@ class _Bag:
 
     def frame_warnings(self, color: Connection, a: Stamp, depth: Connection, b: Stamp) -> tuple[str, ...]:
         """A sentence where the two images come from different cameras, by their headers or by their intrinsics."""
-        of_color, of_depth = (self.message(c, s).header.frame_id for c, s in ((color, a), (depth, b)))
+        try:
+            of_color, of_depth = (self.message(c, s).header.frame_id for c, s in ((color, a), (depth, b)))
+        except IdRgbdoError:  # the first images can be damaged
+            return ()
         if of_color != of_depth and of_color and of_depth:
             apart = f"colour is in the frame '{of_color}', depth in '{of_depth}'"
         else:
@@ -177,10 +194,35 @@ class _Bag:
     def _messages(
         self, connection: Connection, start: int | None = None, stop: int | None = None
     ) -> Iterator[tuple[int, bytes]]:
-        """Time of recording (ns) and data of a topic's messages."""
-        with _damage_named(str(self._path)):
-            for _, recorded, data in self.reader.messages([connection], start, stop):
-                yield recorded, data
+        """Time of recording (ns) and data of a topic's messages, less those in places that cannot be read.
+
+        Where reading fails, it goes on in either half of the time that is left. Raises IdRgbdoError where it fails
+        everywhere.
+        """
+        spans, failed, read = [(start, stop)], 0, 0
+        until = float("inf")
+        while spans:
+            a, b = spans.pop()
+            last = self.reader.start_time - 1 if a is None else a - 1
+            try:
+                with _damage_named(str(self._path)):
+                    for _, last, data in self.reader.messages([connection], a, b):
+                        read += 1
+                        yield last, data
+                continue
+            except IdRgbdoError:
+                failed += 1
+                until = min(until, time.monotonic() + MOST_SALVAGE_S)
+                if failed > MOST_DAMAGED or time.monotonic() > until or stop is not None:
+                    raise
+            a, b = last + 1, self.reader.end_time + 1 if b is None else b  # what was read is not read again
+            if b - a <= SHORTEST_NS:
+                self._unreadable += 1
+            else:
+                middle = (a + b) // 2
+                spans += [(middle, b), (a, middle)]
+        if failed and not read:
+            raise IdRgbdoError(f"{self._path}: no message of '{connection.topic}' can be read; record it again")
 
     def _decode(self, data: bytes, connection: Connection) -> Any:
         with _damage_named(f"{self._path}, {connection.topic}"):
@@ -200,25 +242,26 @@ def _open(path: Path) -> AnyReader:
         raise IdRgbdoError(
             f'{path}: reading ROS recordings needs rosbags ({error}); run `pip install "idrgbdo_torch[ros]"`'
         ) from error
-    with _damage_named(f"{path}: cannot read this as a ROS recording"):
+    check_files(path)
+    with _damage_named(f"{path}: cannot read this as a ROS recording", repair(path)):
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
+        if not all(isinstance(name, str) for c in reader.connections for name in (c.topic, c.msgtype)):
+            reader.close()
+            raise ValueError("topics have numbers for names in metadata.yaml")
     return reader
 
 
 @contextmanager
-def _damage_named(where: str) -> Iterator[None]:
+def _damage_named(where: str, advice: str = "repair or record it again") -> Iterator[None]:
     """Raises IdRgbdoError for whatever rosbags says of damaged content."""
-    from rosbags.highlevel import AnyReaderError
-    from rosbags.rosbag1 import ReaderError as Error1
-    from rosbags.rosbag2 import ReaderError as Error2
-
     try:
         yield
     except IdRgbdoError:
         raise
-    except (AnyReaderError, Error1, Error2, *DAMAGE) as error:
-        raise IdRgbdoError(f"{where}: the recording is damaged ({error}); repair or record it again") from error
+    except damage() as error:
+        said = shown(" ".join(str(error).split()) or type(error).__name__, quoted=False)
+        raise IdRgbdoError(f"{where}: the recording is damaged ({said}); {advice}") from error
 
 
 def _calibration(info: Any, rectified: bool, where: str) -> Calibration:
@@ -237,7 +280,7 @@ def _calibration(info: Any, rectified: bool, where: str) -> Calibration:
         camera = Calibration(K[0], K[4], K[2], K[5], k1, k2, p1, p2, k3, k4, k5, k6)
     if not (camera.fx > 0 and camera.fy > 0):
         raise IdRgbdoError(f"{where}: expected a calibrated camera, got fx={camera.fx:g}; pass --camera F.toml")
-    return replace(camera, width=info.width or None, height=info.height or None)
+    return believed(replace(camera, width=info.width or None, height=info.height or None), where)
 
 
 def _field(info: Any, name: str) -> Sequence[float]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import IdRgbdoError
-from .images import decode_color, decode_depth
+from .images import decode_color, decode_depth, refuse_size
 
 # encoding: element type, channels, OpenCV's conversion to blue green red (None: it is that already)
 COLOR_ENCODINGS: dict[str, tuple[type[np.uint8], int, int | None]] = {
@@ -47,7 +47,13 @@ def color_image(message: Any, where: str) -> NDArray[np.uint8]:
     image = _pixels(message, np.dtype(dtype), channels, where)
     if conversion is None:
         return image
-    return np.asarray(cv2.cvtColor(image, conversion), dtype=np.uint8)
+    try:
+        return np.asarray(cv2.cvtColor(image, conversion), dtype=np.uint8)
+    except cv2.error as error:
+        raise IdRgbdoError(
+            f"{where}: expected '{message.encoding}' of an even width, got {message.width}x{message.height}; "
+            "record it as rgb8"
+        ) from error
 
 
 def depth_image(message: Any, where: str) -> NDArray[Any]:
@@ -67,6 +73,7 @@ def depth_image(message: Any, where: str) -> NDArray[Any]:
 
 def _pixels(message: Any, dtype: np.dtype[Any], channels: int, where: str) -> NDArray[Any]:
     """The rows of a raw image without their padding, in this machine's byte order."""
+    refuse_size((message.width, message.height), where)
     row = message.width * channels * dtype.itemsize
     if message.step < row or len(message.data) < message.step * message.height:
         raise IdRgbdoError(
@@ -95,4 +102,6 @@ def _compressed_depth(message: Any, where: str) -> NDArray[Any]:
     if not message.format.startswith("32FC1"):
         return raw
     known = raw > 0
-    return np.where(known, np.float32(a) / np.where(known, raw - np.float32(b), np.float32(1)), np.float32(0))
+    with np.errstate(all="ignore"):  # what is not finite is unknown depth
+        inverse = np.where(known, raw - np.float32(b), np.float32(1))
+        return np.where(known, np.float32(a) / inverse, np.float32(0)).astype(np.float32)

@@ -14,7 +14,7 @@ import numpy as np
 
 from .calibration import Calibration, DepthCamera, find_calibration
 from .pairing import FPS, numbered, pair_by_number, reader
-from .poses import pose_files, reference
+from .poses import is_pose, pose_files, reference
 from .recording import Options, Recording
 
 KINECT = Calibration(
@@ -44,7 +44,7 @@ def read(folder: Path, options: Options) -> Recording:
     calibration = find_calibration(folder, options.camera, KINECT)
     fps = calibration.fps or FPS
     T_depth_color = np.linalg.inv(calibration.T_color_depth())
-    poses = pose_files(
+    poses, unread = pose_files(
         [(number, path.with_name(path.name.replace(".color.png", ".pose.txt"))) for number, (path, _) in pairs.items()]
     )
     return Recording(
@@ -55,7 +55,8 @@ def read(folder: Path, options: Options) -> Recording:
         calibration=calibration,
         depth_scale=DEPTH_SCALE,
         groundtruth=reference(
-            {number: number / fps for number in pairs}, {n: T @ T_depth_color for n, T in poses.items()}
+            {number: number / fps for number in pairs},
+            {number: T @ T_depth_color for number, T in poses.items() if is_pose(T)},
         ),
-        warnings=warnings,
+        warnings=(*warnings, *unread),
     )

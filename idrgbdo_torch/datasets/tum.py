@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import IdRgbdoError
+from ..text.files import is_named
 from ..trajectory import read_tum
 from .calibration import find_calibration
 from .lists import read_list, read_pairs
 from .pairing import missing_files, pair_by_time, reader, unpaired_warning
+from .poses import usable
 from .recording import Options, Recording
 
 DEPTH_SCALE = 5000.0  # depth values per metre, TUM's
@@ -34,17 +36,17 @@ class Listed:
 
 def recognise(path: Path) -> bool:
     """Whether one of the lists is there."""
-    return any((path / name).is_file() for name in (*COLOR_LISTS, *DEPTH_LISTS, "associations.txt"))
+    return any(is_named(path / name) for name in (*COLOR_LISTS, *DEPTH_LISTS, "associations.txt"))
 
 
 def read(folder: Path, options: Options) -> Recording:
     """Find the pairs, the camera and the reference. Raises IdRgbdoError for a folder that is not such a sequence."""
     associations = options.associations
-    if associations is None and _list(folder, COLOR_LISTS) is None and (folder / "associations.txt").exists():
+    if associations is None and _list(folder, COLOR_LISTS) is None and is_named(folder / "associations.txt"):
         associations = folder / "associations.txt"
     listed = read_associations(associations) if associations else _find_pairs(folder, options.association_limit_s)
-    truth = folder / "groundtruth.txt"
-    aligned = associations is None and (folder / DEPTH_LISTS[0]).exists()
+    truth, unread = usable(read_tum, folder / "groundtruth.txt", None)
+    aligned = associations is None and is_named(folder / DEPTH_LISTS[0])
     return Recording(
         name=folder.resolve().name,
         title=f"TUM RGB-D layout{listed.said}{', aligned_depth.txt' if aligned else ''}",
@@ -52,8 +54,8 @@ def read(folder: Path, options: Options) -> Recording:
         read=reader([(color, depth) for _, color, depth in listed.frames]),
         calibration=find_calibration(folder, options.camera),
         depth_scale=ALIGNED_DEPTH_SCALE if aligned else DEPTH_SCALE,
-        groundtruth=read_tum(truth) if truth.exists() else None,
-        warnings=(*listed.warnings, *missing_files([(color, depth) for _, color, depth in listed.frames])),
+        groundtruth=truth,
+        warnings=(*listed.warnings, *missing_files([(color, depth) for _, color, depth in listed.frames]), *unread),
     )
 
 
@@ -87,4 +89,4 @@ def _find_pairs(folder: Path, limit_s: float) -> Listed:
 
 
 def _list(folder: Path, names: tuple[str, ...]) -> Path | None:
-    return next((folder / name for name in names if (folder / name).exists()), None)
+    return next((folder / name for name in names if is_named(folder / name)), None)

@@ -6,6 +6,10 @@ import re
 from typing import Any
 
 from ..errors import IdRgbdoError
+from ..text.plain import shown
+
+MOST_LETTERS, MOST_LINES = 1 << 20, 20_000  # calibrations are shorter, and time grows with the square of the lines
+DEEPEST = 20  # lists in lists
 
 Lines = list[tuple[int, str]]  # indentation, text
 
@@ -16,24 +20,31 @@ def parse_yaml(text: str, where: str) -> dict[str, Any]:
     Raises IdRgbdoError, showing the line, for anything else.
     """
     lines: Lines = []
-    open_list = ""  # a list in brackets that goes on in the next line
-    for raw in text.splitlines():
+    indent = 0
+    rows = text.splitlines()
+    if len(text) > MOST_LETTERS or len(rows) > MOST_LINES:
+        raise IdRgbdoError(
+            f"{where}: expected a calibration, got {len(rows)} lines; write the camera into a file of its own"
+        )
+    parts: list[str] = []  # of a list in brackets that goes on in the next line
+    depth = 0  # of the brackets that are open
+    for raw in rows:
         line = re.sub(r"(^|\s)#.*$", "", raw).rstrip()
-        if not line.strip() or (line.startswith(("%", "---", "...")) and not open_list):
+        if not line.strip() or (line.startswith(("%", "---", "...")) and not depth):
             continue
         line = line.replace("\t", "  ")
-        if open_list:
-            indent, start = lines.pop()
-            line = " " * indent + start + " " + line.strip()
-        indent = len(line) - len(line.lstrip())
-        lines.append((indent, line.strip()))
-        open_list = line if sum(map(line.count, "[{")) > sum(map(line.count, "]}")) else ""
-    if open_list:
+        indent = indent if depth else len(line) - len(line.lstrip())
+        parts.append(line.strip())
+        depth = max(0, depth + sum(map(line.count, "[{")) - sum(map(line.count, "]}")))
+        if not depth:
+            lines.append((indent, " ".join(parts)))
+            parts = []
+    if parts:
         raise IdRgbdoError(f"{where}: a list in brackets has no end; correct it")
     value, rest = _block(lines, where)
     if rest or not isinstance(value, dict):
-        shown = rest[0][1] if rest else text[:40]
-        raise IdRgbdoError(f"{where}: expected lines `key: value`, got '{shown}'; correct it")
+        first = rest[0][1] if rest else text[:40]
+        raise IdRgbdoError(f"{where}: expected lines `key: value`, got '{shown(first, quoted=False)}'; correct it")
     return value
 
 
@@ -48,7 +59,7 @@ def _block(lines: Lines, where: str) -> tuple[Any, Lines]:
     while lines and lines[0][0] == indent:
         key, colon, text = lines[0][1].partition(":")
         if not colon or (text and not text[0].isspace()):
-            raise IdRgbdoError(f"{where}: expected `key: value`, got '{lines[0][1]}'; correct it")
+            raise IdRgbdoError(f"{where}: expected `key: value`, got '{shown(lines[0][1], quoted=False)}'; correct it")
         lines, text = lines[1:], re.sub(r"^\s*!!?[\w-]+", "", text).strip()
         deeper = lines and (lines[0][0] > indent or (lines[0][0] == indent and lines[0][1].startswith("- ")))
         if not text and deeper:
@@ -74,13 +85,13 @@ def _items(lines: Lines, indent: int, where: str) -> tuple[list[Any], Lines]:
     return items, lines
 
 
-def _scalar(text: str) -> Any:
-    """A list in brackets, a mapping in braces, a number, or text."""
-    if text.startswith("[") and text.endswith("]"):
-        return [_scalar(part) for part in _split(text[1:-1])]
-    if text.startswith("{") and text.endswith("}"):
+def _scalar(text: str, depth: int = 0) -> Any:
+    """A list in brackets, a mapping in braces, a number, or text; text, too, what is nested deeper than any list is."""
+    if text.startswith("[") and text.endswith("]") and depth < DEEPEST:
+        return [_scalar(part, depth + 1) for part in _split(text[1:-1])]
+    if text.startswith("{") and text.endswith("}") and depth < DEEPEST:
         pairs = (part.partition(":") for part in _split(text[1:-1]))
-        return {key.strip().strip("\"'"): _scalar(value.strip()) for key, _, value in pairs}
+        return {key.strip().strip("\"'"): _scalar(value.strip(), depth + 1) for key, _, value in pairs}
     try:
         return float(text)
     except ValueError:

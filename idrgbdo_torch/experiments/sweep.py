@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ..errors import IdRgbdoError
+from ..text.files import read_text
 
 T = TypeVar("T")
 Result = dict[str, Any]
@@ -170,12 +171,12 @@ def read_results(path: Path) -> dict[str, Result]:
     """The results in a file by key, the last of equal keys. A line that a killed process left half written is none."""
     results: dict[str, Result] = {}
     if path.exists():
-        for line in path.read_text(encoding="utf-8").splitlines():
+        for line in read_text(path, "out", "pass another --out").splitlines():
             try:
                 result = json.loads(line)
-            except json.JSONDecodeError:
+                results[result.pop("key")] = result
+            except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
                 continue
-            results[result.pop("key")] = result
     return results
 
 

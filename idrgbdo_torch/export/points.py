@@ -15,6 +15,7 @@ from ..definitions.camera import Pinhole
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame
 from ..runs.folder import map_name
+from ..text.files import plain_bytes
 from ..tracker.mapping import Cloud
 from .images import gray8
 from .tracked import Read, TrackedRun
@@ -33,6 +34,9 @@ CORNER = 1e-3  # least eigenvalue of a patch's gradients, in OpenCV's measure: a
 DTYPES = {"float": "<f4", "uchar": "u1", "double": "<f8"}
 
 
+MOST_MAP = 4 << 30  # bytes
+
+
 @dataclass(frozen=True)
 class Observations:
     """Where points were seen. Each array has one entry an observation, ordered by point."""
@@ -46,7 +50,7 @@ def read_map(folder: Path, segment: int) -> Cloud:
     """The points of a run's map with the keyframes that have them. Raises IdRgbdoError where there are none."""
     path = folder / map_name(segment)
     try:
-        head, _, body = path.read_bytes().partition(b"end_header\n")
+        head, _, body = plain_bytes(path, MOST_MAP).partition(b"end_header\n")
         lines = [line.split() for line in head.decode("ascii").splitlines()]
         layout = [(line[2], DTYPES[line[1]]) for line in lines if line[0] == "property"]
         count = next(int(line[2]) for line in lines if line[:2] == ["element", "vertex"])

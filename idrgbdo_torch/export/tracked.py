@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from ..odometry import Status
+from ..text.files import damage_named, read_table
 from ..tracker.results import joined
 from ..trajectory import Trajectory, nearest, read_tum
 
@@ -66,14 +66,14 @@ def load_run(folder: Path, refined: bool = True) -> TrackedRun:
 
     Raises IdRgbdoError for a folder that is not a run's, or whose files do not belong together.
     """
-    try:
-        with (folder / "frames.csv").open(newline="", encoding="utf-8") as file:
-            rows = tuple(csv.DictReader(file))
+    path = folder / "frames.csv"
+    rows = tuple(read_table(path, ("timestamp", "status", "segment", "keyframe", "reason")))
+    with damage_named(f"run: '{path}'", "the rows of a run", "run again"):
         times = np.array([float(row["timestamp"]) for row in rows])
+        if not np.isfinite(times).all() or (np.diff(times) < 0).any():
+            raise ValueError("times that are none, or run back")
         for row in rows:
-            Status(row["status"]), int(row["segment"]), row["keyframe"], row["reason"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise IdRgbdoError(f"run: cannot read '{folder / 'frames.csv'}' ({error}); pass the folder of a run") from error
+            Status(row["status"]), np.int64(int(row["segment"]))
     hindsight = refined and (folder / "trajectory_refined.txt").exists()
     trajectory = read_tum(folder / ("trajectory_refined.txt" if hindsight else "trajectory.txt"))
     place = nearest(trajectory.timestamps, torch.from_numpy(times))

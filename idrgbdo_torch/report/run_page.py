@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from ..errors import IdRgbdoError
 from ..evaluation import absolute_error, hints
+from ..text.files import read_json, read_table, read_text
 from ..trajectory import Trajectory, read_tum
 from . import figures, series
 from .figures import Line
@@ -21,8 +20,8 @@ def run_page(
     folder: Path, title: str, groundtruth: Trajectory | None = None, snapshots: Sequence[Snapshot] = ()
 ) -> str:
     """The page of a run folder (trajectory.txt, frames.csv, summary.json, config.toml), as HTML text."""
-    rows = list(csv.DictReader((folder / "frames.csv").read_text(encoding="utf-8").splitlines()))
-    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    rows = read_table(folder / "frames.csv", ("timestamp", "status", "reason", "keyframe", "decode_ms", "ms"))
+    summary = read_json(folder / "summary.json")
     lines = [Line("estimate", read_tum(folder / "trajectory.txt"), "#c2410c")]
     refined = folder / "trajectory_refined.txt"
     if refined.exists():
@@ -72,7 +71,7 @@ def run_page(
     )
     if trouble:
         sections.append(Section("Doubts", preformatted(trouble, f"{trouble.count(chr(10)) + 1} frames weak or lost")))
-    config = (folder / "config.toml").read_text(encoding="utf-8")
+    config = read_text(folder / "config.toml")
     sections.append(Section("Configuration", preformatted(config, "config.toml")))
     subtitle = f"{summary['frames']} frames, {summary['path_length_m']:.2f} m"
     return page(title, subtitle, tiles(_key_figures(summary)), sections, f"Made from {folder.name}.")

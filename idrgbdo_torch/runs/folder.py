@@ -21,6 +21,7 @@ from .. import __version__
 from ..errors import IdRgbdoError
 from ..evaluation import Evaluation, Measurement
 from ..odometry import Odometry, Record, Run, Status, lost_because
+from ..text.files import damage_named, read_table
 from ..tracker.inspection import Inspectable
 from ..tracker.mapping import ply_bytes
 from ..trajectory import TUM_HEADER, Trajectory, nearest, read_tum, tum_line, tum_text
@@ -148,13 +149,9 @@ def run_trajectory(folder: Path) -> Trajectory:
     """
     refined, causal = folder / "trajectory_refined.txt", folder / "trajectory.txt"
     trajectory = read_tum(refined if refined.exists() else causal)
-    try:
-        with (folder / "frames.csv").open(newline="", encoding="utf-8") as file:
-            lost = [float(row["timestamp"]) for row in csv.DictReader(file) if row["status"] == Status.LOST.value]
-    except OSError as error:
-        raise IdRgbdoError(
-            f"poses: cannot read '{error.filename}': {error.strerror}; pass the folder of a run"
-        ) from error
+    rows = read_table(folder / "frames.csv", ("timestamp", "status"), "poses")
+    with damage_named(str(folder / "frames.csv"), "the rows of a run", "run again"):
+        lost = [float(row["timestamp"]) for row in rows if row["status"] == Status.LOST.value]
     gone = torch.isin(trajectory.timestamps, torch.tensor(lost, dtype=torch.float64))
     return trajectory.at(~gone)
 

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
+from ..text.files import read_json
 from .writing import write_whole
 
 NAME = "input.json"
@@ -89,7 +90,7 @@ def recall(folder: Path) -> tuple[Path, dict[str, Any]]:
     if not (folder / NAME).exists():
         raise IdRgbdoError(f"source: the run '{folder}' does not say what it tracked; name the recording instead")
     try:
-        options = dict(json.loads((folder / NAME).read_text(encoding="utf-8")))
+        options = dict(read_json(folder / NAME, "source"))
         sequence = Path(options.pop("sequence"))
         exists = sequence.exists()
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:

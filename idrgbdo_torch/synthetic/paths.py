@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import IdRgbdoError
+from ..text.files import read_text
 
 Array = npt.NDArray[np.float64]
 GRID_HZ = 240.0  # of the stored samples; linear between them costs less than 0.02 mm at 5 m/s^2
@@ -61,9 +62,10 @@ def recorded_path(file: Path, start: float, duration: float) -> CameraPath:
     frames (0, 1, 2, ...) are read as 30 per second.
     Raises IdRgbdoError where the file is missing, malformed, or shorter than asked.
     """
+    text = read_text(file, "trajectory", "give a TUM trajectory")
     try:
-        rows = np.loadtxt(file, comments="#", ndmin=2, dtype=np.float64)
-    except (OSError, ValueError) as error:
+        rows = np.loadtxt(text.splitlines(), comments="#", ndmin=2, dtype=np.float64)
+    except ValueError as error:
         raise IdRgbdoError(
             f"trajectory: expected a text file of 'timestamp tx ty tz qx qy qz qw', got {error}; give a TUM trajectory"
         ) from error

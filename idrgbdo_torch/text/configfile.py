@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import difflib
 import json
-import tomllib
 import types
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -15,6 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from ..errors import IdRgbdoError
+from .files import read_toml
+from .plain import shown
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -39,6 +40,9 @@ class Bounds:
         return " and ".join(filter(None, (low, high)))
 
 
+LARGEST = 1e100  # of numbers; a setting beyond is a mistake, and its square may be infinite
+MOST_COUNTED = 1 << 63  # of whole numbers
+
 Count = Annotated[int, Bounds(1)]
 Index = Annotated[int, Bounds(0)]
 Positive = Annotated[float, Bounds(0, low_excluded=True)]
@@ -51,13 +55,7 @@ def load(path: Path, defaults: T) -> T:
 
     Raises IdRgbdoError, naming file and key, for a file that cannot be read, an unknown key, a wrong type or range.
     """
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise IdRgbdoError(f"configuration: cannot read '{path}': {error}; pass an existing TOML file") from error
-    except tomllib.TOMLDecodeError as error:
-        raise IdRgbdoError(f"configuration: '{path}' is not TOML: {error}; correct it") from error
-    return merge(defaults, data, f"{path}: ")
+    return merge(defaults, read_toml(path), f"{path}: ")
 
 
 def merge(defaults: T, data: Mapping[str, Any], where: str = "") -> T:
@@ -66,11 +64,13 @@ def merge(defaults: T, data: Mapping[str, Any], where: str = "") -> T:
     changes: dict[str, Any] = {}
     for key, value in data.items():
         if key not in hints:
-            raise IdRgbdoError(f"{where}{key}: no such key; {_suggestion(key, list(hints))}")
+            raise IdRgbdoError(f"{where}{shown(key, quoted=False)}: no such key; {_suggestion(key, list(hints))}")
         current = getattr(defaults, key)
         if is_dataclass(current) and not isinstance(current, type):
             if not isinstance(value, Mapping):
-                raise IdRgbdoError(f"{where}{key}: expected a table, got {value!r}; write [{key}] and its keys below")
+                raise IdRgbdoError(
+                    f"{where}{key}: expected a table, got {shown(value)}; write [{key}] and its keys below"
+                )
             changes[key] = merge(current, value, f"{where}{key}.")
         else:
             changes[key] = _checked(hints[key], value, f"{where}{key}")
@@ -116,7 +116,7 @@ def _checked(hint: Any, value: Any, where: str) -> Any:
     """The value, as the type `hint` wants it."""
     fitting = _fit(hint, value)
     if fitting is _MISFIT:
-        raise IdRgbdoError(f"{where}: expected {_describe(hint)}, got {value!r}; change it")
+        raise IdRgbdoError(f"{where}: expected {_describe(hint)}, got {shown(value)}; change it")
     return fitting
 
 
@@ -137,8 +137,10 @@ def _fit(hint: Any, value: Any) -> Any:
     if origin is tuple:
         items = [_fit(args[0], item) for item in value] if isinstance(value, list | tuple) else [_MISFIT]
         return _MISFIT if _MISFIT in items else tuple(items)
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+    if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value) if abs(value) < LARGEST else _MISFIT  # nor NaN
+    if hint is int and type(value) is int:
+        return value if abs(value) < MOST_COUNTED else _MISFIT
     if hint is Path and isinstance(value, str):
         return Path(value)
     return value if type(value) is hint or (hint is Path and isinstance(value, Path)) else _MISFIT

@@ -9,9 +9,12 @@ from pathlib import Path
 from ..errors import IdRgbdoError
 from .clock import in_seconds, unit_of
 from .files import read_text
+from .plain import shown
 
 EXPECTED = "`timestamp tx ty tz qx qy qz qw`"
 FEWEST = 3  # poses that two runs have in common
+FARTHEST_M = 1e9  # from the origin; a number beyond is no position
+LATEST = 1e20  # seconds, or ticks of any clock
 
 
 @dataclass(frozen=True)
@@ -51,10 +54,7 @@ def read_rows(path: Path) -> PoseRows:
 
 def _lines(path: Path) -> list[tuple[int, str]]:
     """The numbered lines without comments and without a heading."""
-    try:
-        text = read_text(path)
-    except (OSError, UnicodeDecodeError) as error:
-        raise IdRgbdoError(f"trajectory: cannot read '{path}': {error}; pass a text file in TUM format") from error
+    text = read_text(path, "trajectory", "pass a text file in TUM format")
     lines = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if line.strip(" \t,;")]
     lines = [(n, line) for n, line in lines if not line.lstrip().startswith("#")]
     return lines[1:] if lines and not any(_is_number(field) for field in _fields(lines[0][1])) else lines
@@ -82,17 +82,21 @@ def _row(line: str, where: str) -> tuple[float, list[float]] | None:
     try:
         row = [float(field) for field in fields]
     except ValueError as error:
-        raise IdRgbdoError(f"{where}: expected eight numbers, got '{line.strip()}'; correct the line") from error
+        raise IdRgbdoError(
+            f"{where}: expected eight numbers, got '{shown(line.strip(), quoted=False)}'; correct the line"
+        ) from error
     if len(row) != 8:
         raise IdRgbdoError(f"{where}: expected {EXPECTED}, got {len(row)} numbers; correct the line")
+    if not abs(row[0]) < LATEST:
+        raise IdRgbdoError(f"{where}: expected a timestamp, got {shown(fields[0], quoted=False)}; correct the line")
     length = math.hypot(*row[4:])
     if length == 0 or any(math.isnan(value) for value in row):
         return None
-    if not all(math.isfinite(value) for value in row) or abs(length - 1) > 0.05:
+    if not all(abs(value) < FARTHEST_M for value in row[1:]) or abs(length - 1) > 0.05:
         raise IdRgbdoError(
             f"{where}: expected finite numbers and a unit quaternion, got length {length:.3g}; correct it"
         )
-    return (int(fields[0]) if fields[0].isdigit() else row[0]), row[1:]
+    return (int(fields[0]) if fields[0].isdecimal() else row[0]), row[1:]
 
 
 def _order(numbers: list[int], rows: list[tuple[float, list[float]]], path: Path) -> list[str]:

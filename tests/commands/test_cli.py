@@ -155,7 +155,8 @@ def truncate_all(folder: Path) -> None:
 def shrink_depth(folder: Path) -> None:
     import cv2
 
-    cv2.imwrite(str(min((folder / "depth").iterdir())), np.ones((24, 32), np.uint16))
+    for path in (folder / "depth").iterdir():
+        cv2.imwrite(str(path), np.ones((24, 32), np.uint16))
 
 
 def late_depth(folder: Path) -> None:

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from . import checkpoints, downloads, folders, kills
+from . import checkpoints, downloads, folders, kills, readers
 from .promise import Attack, limits
 
 ATTACKS: Mapping[str, Attack] = {
@@ -23,6 +23,14 @@ ATTACKS: Mapping[str, Attack] = {
     "names": Attack(folders.names),
     "answers": Attack(downloads.answers),
     "archives": Attack(downloads.archives),
+    "one image": Attack(readers.one_image, ready=readers.ready),
+    "one text": Attack(readers.one_text, ready=readers.ready),
+    "strange folder": Attack(readers.strange_folder, ready=readers.ready),
+    "bags": Attack(readers.bags, ready=readers.ready),
+    "camera files": Attack(readers.camera_files),
+    "settings": Attack(readers.settings),
+    "poses": Attack(readers.poses),
+    "run tables": Attack(readers.run_tables),
     "killed": Attack(kills.killed, every=22, most_s=600),
 }
 
@@ -33,6 +41,7 @@ def attack(seed: int, attacks: Mapping[str, Attack] = ATTACKS) -> tuple[str, str
     name = list(attacks)[place]
     if turn % attacks[name].every:
         return "", ""
+    attacks[name].ready()
     with TemporaryDirectory() as folder:
         try:
             with limits(attacks[name].most_s):

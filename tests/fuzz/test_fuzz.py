@@ -9,7 +9,7 @@ from fuzz.promise import Attack
 from fuzz.runner import ATTACKS, attack, run
 from numpy.random import Generator
 
-SEEDS = 450  # of which 1 in 9 would kill processes and is left out
+SEEDS = 50 * len(ATTACKS)  # those that would kill processes are left out
 QUICK = [name for name in ATTACKS if ATTACKS[name].every == 1]
 
 
