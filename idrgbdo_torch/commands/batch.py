@@ -6,7 +6,7 @@ import glob
 import hashlib
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -88,7 +88,7 @@ def run_many(command: RunCommand, paths: Sequence[Path]) -> int:
             results = sweep(track_episode, tasks, out / RESULTS, workers, on_progress)
     finally:  # after Ctrl-C too: what is done is shown, and the same command goes on
         results = results or read_results(out / RESULTS)
-        found = [{"recording": name, **results.get(key, {})} for name, key in zip(names, keys, strict=True)]
+        found = [_row(name, results.get(key, {})) for name, key in zip(names, keys, strict=True)]
         _write(out, found)
     failed = [row for row in found if row.get("error")]
     _show(out, found, failed)
@@ -132,10 +132,15 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
 
 def absolute(options: Input) -> Input:
     """The same options for a process that runs elsewhere."""
-    from dataclasses import replace
-
     camera, associations = (path and path.absolute() for path in (options.camera, options.associations))
     return replace(options, camera=camera, associations=associations)
+
+
+def _row(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
+    row = {"recording": name, **result}
+    if "error" in row:
+        row["error"] = str(row["error"]).removeprefix(f"{IdRgbdoError.__name__}: ")
+    return row
 
 
 def _write(out: Path, found: Sequence[Mapping[str, Any]]) -> None:

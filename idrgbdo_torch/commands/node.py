@@ -18,8 +18,10 @@ from .input import Settings
 from .output import Output, answer
 
 if TYPE_CHECKING:
+    from ..datasets.builder import FrameBuilder
+    from ..datasets.calibration import Calibration
     from ..export.axes import Motion
-    from ..frame import RgbdFrame
+    from ..frame import BrokenFrame, RgbdFrame
     from ..odometry import Odometry, TrackResult
 
 AxesName = Literal["optical", "body"]
@@ -30,7 +32,7 @@ WAITING = 10  # images of either kind that wait for their partner
 class NodeCommand:
     """Track what a ROS 2 camera publishes, and publish nav_msgs/Odometry. Needs rclpy: docs/robots.md."""
 
-    color: str = "/camera/color/image_raw"  # topics: colour, rectified
+    color: str = "/camera/color/image_raw"  # topics: colour; undistorted here unless its name says rect
     depth: str = "/camera/aligned_depth_to_color/image_raw"  # depth as the colour camera sees it
     info: str = "/camera/color/camera_info"  # of the colour camera
     odometry: str = "/odom"  # what is published; where tf2_msgs is installed /tf too
@@ -55,7 +57,7 @@ def node(command: NodeCommand) -> int:
         from sensor_msgs.msg import CameraInfo, Image
     except ImportError as error:
         raise IdRgbdoError(f"node: needs ROS 2's Python packages ({error}); docs/robots.md says where from") from error
-    follower = Follower(make_odometry(command.settings), command.depth_scale, command.limit, command.axes)
+    follower = Follower(make_odometry(command.settings), command)
     rclpy.init(args=[])
     ros = rclpy.create_node("idrgbdo")
     odometry = ros.create_publisher(OdometryMessage, command.odometry, 10)
@@ -96,26 +98,24 @@ class Pose:
 class Follower:
     """Pairs images by their stamps and tracks them; it knows messages by their fields alone."""
 
-    def __init__(
-        self, odometry: Odometry, depth_scale: float, limit_s: float, axes: Literal["optical", "body"]
-    ) -> None:
+    def __init__(self, odometry: Odometry, command: NodeCommand) -> None:
         from ..runs.certainty import Certainty
 
-        self.odometry, self.depth_scale, self.limit_s = odometry, depth_scale, limit_s
-        self.axes = axes
+        self.odometry, self._command = odometry, command
         self.frames = self.lost = 0
-        self._camera: Any = None
+        self._calibration: Calibration | None = None
+        self._builder: FrameBuilder | None = None
         self._color: deque[Any] = deque(maxlen=WAITING)
         self._depth: deque[Any] = deque(maxlen=WAITING)
         self._certainty = Certainty()
         self._before: tuple[float, dict[str, str], Any] | None = None  # time, row and pose of the last frame
 
     def on_info(self, message: Any) -> None:
-        """sensor_msgs/CameraInfo of the colour camera."""
-        from ..definitions.camera import Pinhole
+        """sensor_msgs/CameraInfo of the colour camera; the first counts."""
+        from ..datasets.ros import calibration_of_info
 
-        k = message.k
-        self._camera = Pinhole(width=message.width, height=message.height, fx=k[0], fy=k[4], cx=k[2], cy=k[5])
+        if self._calibration is None:
+            self._calibration = calibration_of_info(message, "rect" in self._command.color, self._command.info)
 
     def on_color(self, message: Any) -> Pose | None:
         """sensor_msgs/Image; the pose where its depth is there already."""
@@ -128,35 +128,48 @@ class Follower:
         return self._paired()
 
     def _paired(self) -> Pose | None:
-        """Track the oldest colour image that has depth; earlier images are dropped."""
-        for color in self._color if self._camera else ():
-            depth = min(self._depth, key=lambda message: abs(_seconds(message) - _seconds(color)), default=None)
-            if depth is not None and abs(_seconds(depth) - _seconds(color)) <= self.limit_s:
-                newest = _seconds(color)
-                self._color = deque((m for m in self._color if _seconds(m) > newest), WAITING)
-                self._depth.remove(depth)
-                return self._track(color, self._frame(color, depth))
+        """Track the oldest colour image that has depth; what is older than the two is dropped."""
+        if self._calibration is None:
+            return None
+        for color in self._color:
+            time = _seconds(color)
+            depth = min(self._depth, key=lambda message: abs(_seconds(message) - time), default=None)
+            if depth is not None and abs(_seconds(depth) - time) <= self._command.limit:
+                self._color = _later(self._color, color)
+                self._depth = _later(self._depth, depth)
+                return self._track(color, self._frame(self._calibration, color, depth))
         return None
 
-    def _frame(self, color: Any, depth: Any) -> RgbdFrame:
+    def _frame(self, calibration: Calibration, color: Any, depth: Any) -> RgbdFrame | BrokenFrame:
+        """The frame of two messages; where one of them is not what it should be, why."""
         import numpy as np
 
+        from ..datasets.builder import FrameBuilder
         from ..datasets.ros_images import color_image, depth_image
-        from ..frame import RgbdFrame
+        from ..frame import BrokenFrame
 
-        rgb = color_image(_as_recorded(color), "colour")[..., ::-1]
-        metres = depth_image(_as_recorded(depth), "depth")
-        scale = self.depth_scale if metres.dtype == np.uint16 else None
-        return RgbdFrame.from_images(_seconds(color), np.ascontiguousarray(rgb), metres, self._camera, scale)
+        try:
+            images = color_image(_as_recorded(color), "colour"), depth_image(_as_recorded(depth), "depth")
+            if self._builder is None:
+                scale = self._command.depth_scale if images[1].dtype == np.uint16 else 1.0  # floats are metres
+                self._builder = FrameBuilder(calibration, images[0], scale)
+            return self._builder.frame(_seconds(color), *images)
+        except IdRgbdoError as error:
+            return BrokenFrame(_seconds(color), str(error))
 
-    def _track(self, color: Any, frame: RgbdFrame) -> Pose | None:
+    def _track(self, color: Any, frame: RgbdFrame | BrokenFrame) -> Pose | None:
         """None for a lost frame: what is not known is not published."""
         from ..export.axes import in_axes, motion_between
+        from ..frame import BrokenFrame
         from ..odometry import Record, Status
         from ..runs.folder import row_of
 
-        result = self.odometry.track(frame)
         self.frames += 1
+        if isinstance(frame, BrokenFrame):
+            self.lost += 1
+            self._before = None
+            return None
+        result = self.odometry.track(frame)
         row = row_of(Record(frame.timestamp, result, 0.0, None), self._certainty)
         before, self._before = self._before, None
         if result.status is Status.LOST:
@@ -164,7 +177,7 @@ class Follower:
             return None
         T = result.T_world_cam.numpy()
         self._before = frame.timestamp, row, T
-        return Pose(color.header.stamp, result, in_axes(motion_between(before, self._before), self.axes))
+        return Pose(color.header.stamp, result, in_axes(motion_between(before, self._before), self._command.axes))
 
 
 def odometry_message(pose: Pose, axes: AxesName) -> Any:
@@ -224,6 +237,10 @@ def _then(on_message: Callable[[Any], Pose | None], publish: Callable[[Pose], No
             publish(found)
 
     return call
+
+
+def _later(waiting: deque[Any], than: Any) -> deque[Any]:
+    return deque((message for message in waiting if _seconds(message) > _seconds(than)), WAITING)
 
 
 def _as_recorded(message: Any) -> Any:

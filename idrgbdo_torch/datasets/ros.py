@@ -149,7 +149,7 @@ class _Bag:
                 where = f"{self._path}, {connection.topic}"
                 for _, data in self._messages(connection):
                     with _damage_named(where):
-                        return _calibration(self._decode(data, connection), "rect" in color_topic, where)
+                        return calibration_of_info(self._decode(data, connection), "rect" in color_topic, where)
         raise IdRgbdoError(
             f"{self._path}: expected '{namespace}/camera_info', found {', '.join(c.topic for c in infos) or 'none'}; "
             "pass --camera F.toml with fx, fy, cx, cy"
@@ -221,7 +221,7 @@ def _damage_named(where: str) -> Iterator[None]:
         raise IdRgbdoError(f"{where}: the recording is damaged ({error}); repair or record it again") from error
 
 
-def _calibration(info: Any, rectified: bool, where: str) -> Calibration:
+def calibration_of_info(info: Any, rectified: bool, where: str) -> Calibration:
     """Intrinsics of a CameraInfo, whose fields ROS 1 writes in capitals and ROS 2 does not."""
     K, D, P = (_field(info, name) for name in "KDP")
     if rectified:

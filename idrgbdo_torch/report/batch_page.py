@@ -11,7 +11,7 @@ from .page import Section, page, table, tiles
 
 COLUMNS = (
     *("recording", "frames", "weak", "lost", "keyframes", "path m", "ATE mm", "RPE mm/s", "RPE deg/s", "ms a frame"),
-    "why not",
+    "note",
 )
 Row = Mapping[str, Any]  # a run's summary, its recording's name, and the error where there is nothing else
 
@@ -27,7 +27,7 @@ def cells(row: Row) -> tuple[str, ...]:
         _number(errors.get("rpe_rmse_m_per_s"), 1000.0, 2),
         _number(errors.get("rpe_rmse_deg_per_s"), 1.0, 3),
         _number(timing.get("track_median"), 1.0, 1),
-        str(row.get("error", "") if "frames" in row or "error" in row else "not yet"),
+        _note(row),
     )
 
 
@@ -58,6 +58,12 @@ def batch_page(title: str, rows: Sequence[Row]) -> str:
         sections.append(Section("Failed", table(("recording", "why"), reasons)))
     machines = sorted({str(row["machine"]) for row in tracked if row.get("machine")})
     return page(title, "Recordings tracked together", tiles(key), sections, "; ".join(machines), plots=False)
+
+
+def _note(row: Row) -> str:
+    if "frames" not in row:
+        return str(row.get("error") or "not yet")
+    return "; ".join(row.get("warnings") or ())
 
 
 def _number(value: float | None, factor: float, digits: int) -> str:

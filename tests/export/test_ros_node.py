@@ -15,7 +15,9 @@ import numpy as np
 import pytest
 import torch
 
-from idrgbdo_torch.commands.node import Follower
+from idrgbdo_torch.commands.node import Follower, NodeCommand
+from idrgbdo_torch.datasets.builder import FrameBuilder
+from idrgbdo_torch.datasets.calibration import Calibration
 from idrgbdo_torch.frame import RgbdFrame
 from idrgbdo_torch.odometry import Record
 from idrgbdo_torch.runs.certainty import Certainty
@@ -24,7 +26,6 @@ from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 
 ROOT = Path(__file__).parents[2]
 FILM = SynthConfig(kind="desk", frames=12, width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5, samples=1)
-CAMERA = RenderedSequence(FILM).camera
 
 
 class Shot:
@@ -37,7 +38,9 @@ class Shot:
         self.nanoseconds = round(1e9 * frame.timestamp)
 
     def frame(self) -> RgbdFrame:
-        return RgbdFrame.from_images(self.nanoseconds / 1e9, self.rgb, self.millimetres, CAMERA, 1000)
+        calibration = Calibration(FILM.fx, FILM.fy, FILM.cx, FILM.cy)
+        bgr = np.ascontiguousarray(self.rgb[..., ::-1])
+        return FrameBuilder(calibration, bgr, 1000).frame(self.nanoseconds / 1e9, bgr, self.millimetres)
 
     def fill(self, color: Any, depth: Any) -> tuple[Any, Any]:
         """Two sensor_msgs/Image."""
@@ -61,6 +64,7 @@ def plain_message() -> Any:
 def info(message: Any) -> Any:
     message.width, message.height = FILM.width, FILM.height
     message.k = [FILM.fx, 0.0, FILM.cx, 0.0, FILM.fy, FILM.cy, 0.0, 0.0, 1.0]
+    message.d, message.p, message.distortion_model = [0.0] * 5, [0.0] * 12, "plumb_bob"
     return message
 
 
@@ -72,10 +76,10 @@ def tracked(shots: list[Shot]) -> list[tuple[torch.Tensor, np.ndarray | None]]:
 
 
 def test_pairs_in_any_order_are_tracked_as_their_recording_is(shots: list[Shot]) -> None:
-    follower, found = Follower(IdRgbdo(), 1000.0, 0.02, "optical"), []
+    follower, found = Follower(IdRgbdo(), NodeCommand()), []
     color, depth = shots[0].fill(plain_message(), plain_message())
     assert follower.on_color(color) is None and follower.on_depth(depth) is None  # the camera is not known yet
-    follower = Follower(IdRgbdo(), 1000.0, 0.02, "optical")
+    follower = Follower(IdRgbdo(), NodeCommand())
     follower.on_info(info(plain_message()))
     for number, shot in enumerate(shots):
         color, depth = shot.fill(plain_message(), plain_message())
@@ -92,6 +96,11 @@ def test_pairs_in_any_order_are_tracked_as_their_recording_is(shots: list[Shot])
         assert covariance is not None
         np.testing.assert_allclose(pose.motion.pose_covariance, covariance, rtol=1e-6, atol=1e-15)
     assert np.linalg.norm(found[5].motion.twist[:3]) > 0.01
+    color, depth = shots[0].fill(plain_message(), plain_message())
+    color.header.stamp.sec = depth.header.stamp.sec = 10**6
+    color.data = color.data[:100]  # one that is broken costs that frame
+    assert follower.on_color(color) is None and follower.on_depth(depth) is None
+    assert (follower.frames, follower.lost) == (len(shots) + 1, 1)
 
 
 def test_a_published_film_comes_back_as_odometry(shots: list[Shot], tmp_path: Path) -> None:
