@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import hashlib
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -60,7 +61,10 @@ def expanded(paths: Sequence[Path]) -> list[Path]:
         if not matches:
             raise IdRgbdoError(f"sequences: nothing matches '{path}'; check the pattern")
         found += map(Path, matches)
-    return list(dict.fromkeys(found))
+    once: dict[Path, Path] = {}
+    for path in found:
+        once.setdefault(path.resolve(), path)
+    return list(once.values())
 
 
 def run_many(command: RunCommand, paths: Sequence[Path]) -> int:
@@ -83,8 +87,9 @@ def run_many(command: RunCommand, paths: Sequence[Path]) -> int:
     results: Mapping[str, Mapping[str, Any]] = {}
     workers = Workers(extras.jobs or cores(), extras.cluster)
     try:
+        tasks = dict(zip(keys, episodes, strict=True))
+        _forget_what_is_gone(tasks, out / RESULTS)
         with tasks_bar("tracking") as on_progress:
-            tasks = dict(zip(keys, episodes, strict=True))
             results = sweep(track_episode, tasks, out / RESULTS, workers, on_progress)
     finally:  # after Ctrl-C too: what is done is shown, and the same command goes on
         results = results or read_results(out / RESULTS)
@@ -120,14 +125,23 @@ def track_episode(episode: Episode) -> dict[str, Any]:
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
     """A name for each recording: its own, with as many of the folders above it as tell it from the others."""
-    parts = [path.absolute().parts for path in paths]
-    names = [path.name or "recording" for path in paths]
+    parts = [path.resolve().parts for path in paths]
+    names = [own[-1] for own in parts]
     for depth in range(2, max(map(len, parts)) + 1):
-        again = {name for name in names if names.count(name) > 1}
+        again = {name for name, count in Counter(names).items() if count > 1}
         if not again:
             break
         names = ["_".join(own[-depth:]) if name in again else name for name, own in zip(names, parts, strict=True)]
     return [name.replace("/", "").replace("\\", "") for name in names]
+
+
+def _forget_what_is_gone(tasks: Mapping[str, Episode], path: Path) -> None:
+    """A result whose folder was removed since is none: it is done again."""
+    from ..experiments.sweep import append_result, read_results
+
+    for key, result in read_results(path).items():
+        if key in tasks and not result.get("error") and not (tasks[key].folder / "summary.json").exists():
+            append_result(path, {"key": key, "error": "its folder is gone"})
 
 
 def absolute(options: Input) -> Input:

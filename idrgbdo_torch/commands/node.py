@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ..odometry import Odometry, TrackResult
 
 AxesName = Literal["optical", "body"]
+LAST_S = 5.0  # that the last message may take to arrive
 WAITING = 10  # images of either kind that wait for their partner
 
 
@@ -53,6 +54,7 @@ def node(command: NodeCommand) -> int:
     try:
         import rclpy
         from nav_msgs.msg import Odometry as OdometryMessage
+        from rclpy.duration import Duration
         from rclpy.qos import qos_profile_sensor_data
         from sensor_msgs.msg import CameraInfo, Image
     except ImportError as error:
@@ -78,6 +80,7 @@ def node(command: NodeCommand) -> int:
     try:
         while rclpy.ok() and (command.max_frames is None or follower.frames < command.max_frames):
             rclpy.spin_once(ros, timeout_sec=0.1)
+        odometry.wait_for_all_acked(Duration(seconds=LAST_S))
     finally:
         ros.destroy_node()
         rclpy.try_shutdown()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 import signal
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -46,7 +47,9 @@ def poses(folder: Path) -> torch.Tensor:
 
 
 def test_a_pattern_stands_for_what_it_matches_and_every_recording_counts_once(episodes: Path) -> None:
-    found = expanded([episodes / "ep3", Path(f"{episodes}/ep[0-3]"), Path("nowhere")])
+    found = expanded(
+        [episodes / "ep3", Path(f"{episodes}/ep[0-3]"), episodes / "." / "notes" / ".." / "ep1", Path("nowhere")]
+    )
     assert found == [episodes / "ep3", *(episodes / f"ep{n}" for n in range(3)), Path("nowhere")]
     with pytest.raises(IdRgbdoError, match="nothing matches"):
         expanded([Path(f"{episodes}/none*")])
@@ -79,6 +82,10 @@ def test_several_recordings_make_a_folder_each_one_table_one_page_and_say_what_f
     shown = capsys.readouterr().out
     assert {name: (out / name / "summary.json").stat().st_mtime_ns for name in before} == before
     assert "2 of 3" in shown and "notes" in shown
+    shutil.rmtree(out / "ep0")
+    assert main(command) == 1  # and what is gone
+    assert len(poses(out / "ep0")) == FILM.frames
+    assert (out / "ep1" / "summary.json").stat().st_mtime_ns == before["ep1"]
 
 
 def test_what_is_for_one_recording_is_refused_for_several(episodes: Path, capsys: pytest.CaptureFixture[str]) -> None:

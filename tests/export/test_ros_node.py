@@ -127,7 +127,7 @@ def test_a_published_film_comes_back_as_odometry(shots: list[Shot], tmp_path: Pa
             rclpy.spin_once(ros, timeout_sec=0.02)
 
     try:
-        until(lambda: all(p.get_subscription_count() == 1 for p in publishers), 120)
+        until(lambda: all(p.get_subscription_count() == 1 for p in publishers), 300)
         until(lambda: ros.count_publishers("/odom") == 1, 10)
         time.sleep(1.0)
         for number, shot in enumerate(shots):
