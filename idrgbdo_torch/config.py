@@ -6,12 +6,14 @@ Types such as Positive carry the range of a value; configfile.check() holds it a
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Literal
 
 from .text.configfile import Bounds, Count, Fraction, Index, NonNegative, Positive
 
 Mode = Literal["rand", "grid", "inf", "inf+grid"]
 BackendName = Literal["fused", "torch"]
+PRESETS = ("fast", "accurate", "paper")  # the files of configs/, which are installed beside this one
 
 
 @dataclass(frozen=True)
@@ -102,3 +104,12 @@ class Config:
     def window_points(self) -> int:
         """Points of a keyframe in the window."""
         return self.window.points or self.selection.points
+
+
+def settings_file(name: Path) -> Path:
+    """The TOML file of a name: the file itself, or one of PRESETS where there is no such file."""
+    if str(name) not in PRESETS or name.is_file():
+        return name
+    here = Path(__file__).resolve().parent
+    installed, cloned = (folder / "configs" / f"{name}.toml" for folder in (here, here.parent))
+    return installed if installed.exists() else cloned

@@ -28,7 +28,7 @@ def dask_cluster(folder: Path, count: int = 2) -> Iterator[Cluster]:
     """A scheduler and `count` workers of one thread, ready for work; ended afterwards."""
     from distributed import Client
 
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(HERE)}
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": f"{HERE}{os.pathsep}{HERE.parent}"}
     file = folder / "scheduler.json"
 
     def start(*arguments: str) -> subprocess.Popen[bytes]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +11,7 @@ from tyro.conf import Positional, arg
 
 from ..text.plain import plain
 from .input import Input
+from .output import Output, answer
 
 if TYPE_CHECKING:
     from ..check import Finding, Report
@@ -26,6 +27,7 @@ class CheckCommand:
     sequence: Positional[Path]  # as for `idrgbdo run`
     input: Annotated[Input, arg(name="")] = field(default_factory=Input)
     out: Path | None = None  # PNG; else runs/<sequence>/check.png
+    output: Annotated[Output, arg(name="")] = field(default_factory=Output)
 
 
 def check(command: CheckCommand) -> int:
@@ -46,6 +48,8 @@ def check(command: CheckCommand) -> int:
     save(picture, draw(report.measured))
     _show(sequence.name, report)
     print(f"picture: {plain(picture)}")
+    rows = [asdict(finding) | {"verdict": finding.verdict.value} for finding in report.findings]
+    answer(sequence=sequence.name, faults=[fault.name for fault in report.faults], findings=rows, picture=picture)
     return 1 if report.faults else 0
 
 

@@ -5,18 +5,20 @@ from __future__ import annotations
 import difflib
 import hashlib
 import importlib
+import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import Positional, UseAppendAction
+from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import IdRgbdoError
-from ..text.configfile import Count, Index
+from ..text.configfile import Count, Index, Positive
+from .output import Output, answer
 
 if TYPE_CHECKING:
     from ..comparison import Comparison, Progress
@@ -37,16 +39,21 @@ class CompareCommand:
     out: Path = Path("comparison")  # folder for tables, page and runs
     seeds: Count = 1  # runs of each method that is random
     overwrite: bool = False  # do again what is done
+    camera: Path | None = None  # of all recordings, as for `idrgbdo run`; else their own
+    depth_scale: Positive | None = None  # depth values per metre; else the camera file's or the format's
+    format: str | None = None  # as for `idrgbdo run`; else it is recognised
     start: Index = 0  # frames left out at the beginning
     every: Count = 1  # take every n-th frame
     max_frames: Count | None = None  # stop after so many
+    output: Annotated[Output, arg(name="")] = field(default_factory=Output)
 
 
 def compare(command: CompareCommand) -> int:
     """Run what is missing, write the tables, show the first of them."""
     from ..comparison import Source, parse_external
     from ..comparison import compare as compare_methods
-    from ..comparison.table import to_csv, to_json, to_markdown
+    from ..comparison.table import to_csv, to_json, to_latex, to_markdown
+    from ..experiments.comparison_figures import draw_figures
     from ..report import comparison_page
     from ..report.terminal import show_table
     from ..runs.writing import write_whole
@@ -58,7 +65,9 @@ def compare(command: CompareCommand) -> int:
     if not command.sequences:
         raise IdRgbdoError("sequences: expected the folder of a recording, got none; name at least one")
     chosen = choose(known, command.methods)
-    sources = [Source(folder, command.start, command.every, command.max_frames) for folder in command.sequences]
+    frames = (command.start, command.every, command.max_frames)
+    reading = (command.format, command.camera, command.depth_scale)
+    sources = [Source(folder, *frames, *reading) for folder in command.sequences]
     with _progress_bar() as on_progress:
         comparison = compare_methods(
             chosen,
@@ -73,12 +82,16 @@ def compare(command: CompareCommand) -> int:
         ("comparison.md", to_markdown),
         ("comparison.csv", to_csv),
         ("comparison.json", to_json),
+        ("comparison.tex", to_latex),
         ("report.html", comparison_page),
     )
     for name, write in writers:
         write_whole(command.out / name, write(comparison), make_folder=True)
+    figures = draw_figures(comparison, command.out)
     _show(comparison)
-    show_table("results", [("in", str(command.out))])
+    without = [] if figures else [("figures", 'none: pip install "idrgbdo_torch[experiments]"')]
+    show_table("results", [("in", str(command.out)), *without])
+    answer(folder=command.out, figures=figures, **json.loads(to_json(comparison)))
     return 0
 
 

@@ -6,15 +6,19 @@ import importlib
 import os
 import platform
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from importlib import metadata
 from pathlib import Path
 from time import perf_counter
+from typing import Annotated
+
+from tyro.conf import arg
 
 from .. import __version__
 from ..errors import IdRgbdoError
 from ..synthetic.config import SynthConfig
 from ..tracker.open3d_loader import load_open3d
+from .output import Output, answer
 
 NEEDED = {  # distribution: module
     "torch": "torch", "numpy": "numpy", "opencv-python-headless": "cv2", "numba": "numba", "scipy": "scipy",
@@ -30,6 +34,7 @@ class DoctorCommand:
     """Show versions, machine, optional parts and caches, and test in seconds whether tracking works here."""
 
     self_test: bool = True  # render a tiny sequence and track it
+    output: Annotated[Output, arg(name="")] = field(default_factory=Output)
 
 
 def doctor(command: DoctorCommand) -> int:
@@ -45,6 +50,7 @@ def doctor(command: DoctorCommand) -> int:
         _show(items[-1:])
     bad = [item for item in items if not item.good]
     print(f"not in order: {', '.join(item.name for item in bad)}" if bad else "all in order")
+    answer(items=[asdict(item) for item in items])
     return 1 if bad else 0
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from ..errors import IdRgbdoError
+from .output import Output, answer
 
 if TYPE_CHECKING:
     from ..download import Progress
@@ -27,6 +28,7 @@ class DownloadCommand:
     out: Path = Path("data")  # folder for the sequences
     url: str = ""  # where else the archives lie, in folders freiburg1 to freiburg3
     keep_archives: bool = False  # else they are removed once unpacked
+    output: Annotated[Output, arg(name="")] = field(default_factory=Output)
 
 
 def download(command: DownloadCommand) -> int:
@@ -46,6 +48,7 @@ def download(command: DownloadCommand) -> int:
             on_progress=on_progress,
         )
     show_table("sequences", [(folder.name, str(folder)) for folder in folders])
+    answer(folders=list(folders))
     return 0
 
 

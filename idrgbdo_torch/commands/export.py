@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from ..errors import IdRgbdoError
 from ..text.configfile import Count
 from .input import Input, input_of_run, open_input
+from .output import Output, answer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,6 +37,7 @@ class ExportCommand:
     sharpest: bool = False  # of these the sharpest, else the first
     weak: bool = False  # frames with status weak too
     axes: Literal["optical", "body"] = "optical"  # of a robot's poses: z forward and y down, or x forward and z up
+    output: Annotated[Output, arg(name="")] = field(default_factory=Output)
 
 
 def export(command: ExportCommand) -> int:
@@ -67,6 +69,7 @@ def export(command: ExportCommand) -> int:
     left = ", ".join(f"{count} {reason}" for reason, count in chosen.left_out.items())
     counts = [("frames", f"{len(frames)} of {len(run.times)}"), ("left out", left or "none for its pose")]
     show_table(f"{command.to} of {command.run.name}", [*counts, *rows])
+    answer(frames=len(frames), of=len(run.times), left_out=dict(chosen.left_out), out=out)
     return 0
 
 

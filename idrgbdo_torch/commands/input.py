@@ -24,18 +24,16 @@ Settings = Annotated[Config, arg(name=""), FlagConversionOff]
 class Input:
     """How the recording is read."""
 
+    camera: Path | None = None  # TOML with fx, fy, cx, cy, or another program's YAML or JSON; else the recording's own
+    depth_scale: Positive | None = None  # depth values per metre; else the camera file's or the format's
     format: str | None = None  # tum, icl_nuim, 7scenes, redwood, replica, scannet, ros, folder; else it is recognised
-    camera: Path | None = (
-        None  # TOML with fx, fy, cx, cy, or another program's YAML, JSON; else what the recording says
-    )
+    max_frames: Count | None = None  # stop after so many
+    every: Count = 1  # take every n-th frame
+    start: Index = 0  # frames left out at the beginning
     associations: Path | None = None  # list `timestamp colour timestamp depth`; else images are paired by time
     association_limit: NonNegative = 0.02  # s, between the two images of a pair
-    depth_scale: Positive | None = None  # depth values per metre; else the camera file's or the format's
     color_topic: str | None = None  # of a ROS recording; else the likeliest
     depth_topic: str | None = None  # the same; choose one that is registered to colour
-    start: Index = 0  # frames left out at the beginning
-    every: Count = 1  # take every n-th frame
-    max_frames: Count | None = None  # stop after so many
 
 
 def open_input(path: Path, options: Input) -> RgbdSequence:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from tyro.conf import arg
 
 from ..config import Config
 from ..text import configfile
 from ..text.plain import plain
 from .input import Settings
+from .output import Output
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,7 @@ class LiveCommand:
     out: Path | None = None  # folder for the results; else runs/<sensor>/<time>
     viewer: bool = False  # watch it in Rerun, pip install "idrgbdo_torch[viewer]"
     save_rrd: Path | None = None  # the same into a file, for machines without a display
+    output: Annotated[Output, arg(name="")] = field(default_factory=Output)
 
 
 def live(command: LiveCommand) -> int:
@@ -33,7 +37,7 @@ def live(command: LiveCommand) -> int:
     from ..datasets.live import open_camera
     from ..report.viewer import open_viewer
     from .observers import Viewing
-    from .track import track
+    from .track import Job, track
 
     sequence = open_camera(
         command.sensor,
@@ -45,4 +49,4 @@ def live(command: LiveCommand) -> int:
     print("reading", plain(sequence.recognised), flush=True)
     with open_viewer(sequence.name, command.viewer, command.save_rrd) as viewer:
         observers = [Viewing(viewer)] if viewer else []
-        return track(sequence, sequence.name, command.settings, command.out, observers)
+        return track(Job(sequence, sequence.name, command.settings), command.out, observers)

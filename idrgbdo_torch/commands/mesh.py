@@ -10,6 +10,7 @@ from tyro.conf import Positional, arg
 
 from ..text.configfile import Count, Positive
 from .input import Input, open_input
+from .output import Output, answer
 
 if TYPE_CHECKING:
     from ..datasets import RgbdSequence
@@ -29,6 +30,7 @@ class MeshCommand:
     depth_max: Positive = 3.0  # m, farther depth is left out
     blocks: Count = 40_000  # of 8^3 voxels, 6 kB each; where they run out the voxels become larger
     fuse_every: Count = 1  # fuse every n-th frame
+    output: Annotated[Output, arg(name="")] = field(default_factory=Output)
 
 
 def mesh(command: MeshCommand) -> int:
@@ -43,15 +45,18 @@ def mesh(command: MeshCommand) -> int:
     out = command.out or (command.poses if command.poses.is_dir() else command.poses.parent) / "mesh.ply"
     trajectory = run_trajectory(command.poses) if command.poses.is_dir() else read_tum(command.poses)
     show_table("mesh", [("mesh", fuse_mesh(sequence, trajectory, out, config)), ("results in", str(out))])
+    answer(mesh=out)
     return 0
 
 
-def fuse_mesh(sequence: RgbdSequence, trajectory: Trajectory, out: Path, config: MeshConfig | None = None) -> str:
-    """Fuse and write a mesh; what it is, in words."""
+def fuse_mesh(
+    sequence: RgbdSequence, trajectory: Trajectory, out: Path, config: MeshConfig | None = None, terminal: bool = True
+) -> str:
+    """Fuse and write a mesh, with a bar on a terminal unless told otherwise; what it is, in words."""
     from ..report.terminal import progress_bar
     from ..runs.mesh import fuse
 
-    with progress_bar("mesh", len(sequence)) as advance:
+    with progress_bar("mesh", len(sequence) if terminal else None) as advance:
         fused = fuse(sequence, trajectory, config, advance)
     fused.write(out)
     return f"{fused.vertices} vertices from {fused.frames} frames, voxels of {1000 * fused.voxel_m:.3g} mm"

@@ -9,6 +9,7 @@ from typing import Annotated
 from tyro.conf import FlagConversionOff, Positional, arg
 
 from ..synthetic.config import SynthConfig
+from .output import Output, answer
 
 
 @dataclass(frozen=True)
@@ -17,6 +18,7 @@ class SynthCommand:
 
     out: Positional[Path]  # a new folder
     scene: Annotated[SynthConfig, arg(name=""), FlagConversionOff] = field(default_factory=SynthConfig)
+    output: Annotated[Output, arg(name="")] = field(default_factory=Output)
 
 
 def synth(command: SynthCommand) -> int:
@@ -25,6 +27,7 @@ def synth(command: SynthCommand) -> int:
 
     render(command.scene, command.out)
     show_table("rendered", [("frames", str(command.scene.frames)), ("track it", f"idrgbdo run {command.out}")])
+    answer(frames=command.scene.frames, folder=command.out)
     return 0
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import Any
 
 from .. import __version__, datasets, odometry
 from ..config import Config
@@ -21,6 +22,7 @@ from ..odometry import Odometry, Record, Run
 from ..report import Snapshot, run_page, watch
 from ..report.terminal import (
     Rows,
+    compiling_bar,
     evaluation_rows,
     hint_rows,
     progress_bar,
@@ -38,60 +40,118 @@ from ..text.plain import plain
 from ..trajectory import Trajectory
 from .mesh import fuse_mesh
 from .observers import Frames, Observer, Session
-
-if TYPE_CHECKING:
-    pass
+from .output import answer
 
 INTERRUPTED = 128 + signal.SIGINT
 
 
 def make_odometry(config: Config) -> Odometry:
-    """The method of this package."""
+    """The method of this package; on a terminal a bar shows its kernels being compiled, where they have to be."""
     from ..tracker.id_rgbdo import IdRgbdo
+    from ..tracker.warmup import warm_up
 
+    if config.backend == "fused":
+        with compiling_bar() as on_function:
+            warm_up(lambda: IdRgbdo(compile_ahead=False), on_function)
     return IdRgbdo(config)
 
 
+@dataclass(frozen=True)
+class Job:
+    """A recording or a camera to be tracked, and how."""
+
+    sequence: datasets.RgbdSequence
+    title: str
+    config: Config
+    map_kind: str = "points"
+    reading: Reading | None = None  # what is tracked, left in the folder; a run is continued with the same alone
+
+    def identity(self) -> Identity:
+        """What a checkpoint has to be of to be continued."""
+        sequence, source = self.sequence, None
+        if self.reading:
+            source = self.reading.source(sequence if isinstance(sequence, datasets.RecordedSequence) else None)
+        return Identity.of(__version__, self.config, self.title, sequence.timestamps, sequence.camera, source)
+
+    def begin(self) -> State:
+        """A run without a frame yet."""
+        return State(make_odometry(self.config), [], [])
+
+    def go_on(self, path: Path) -> State:
+        """The interrupted run in a folder. Raises IdRgbdoError where there is none of this job."""
+        return checkpoint.load(path, self.identity(), [Snapshot])
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What became of a job."""
+
+    done: Run
+    evaluation: Evaluation | None
+    summary: dict[str, Any]
+    rows: Rows  # of the evaluation and the mesh
+    stopped: bool  # before the end
+    kept: bool  # in a checkpoint
+    problem: str  # with it, a sentence
+
+
 def track(
-    sequence: datasets.RgbdSequence,
-    title: str,
-    config: Config,
+    job: Job,
     out: Path | None,
     observers: Sequence[Observer] = (),
-    map_kind: str = "points",
     resume: bool | None = None,
-    reading: Reading | None = None,
 ) -> int:
     """Track a sequence into a run folder, evaluate it where there is ground truth, and show the table.
 
     observers: what else goes along. resume: go on with the interrupted run in the folder; None where that can never be,
     so no checkpoint is kept.
-    reading: what is tracked, left in the folder; a run is continued with the same alone.
     """
-    for warning in sequence.warnings:
+    for warning in job.sequence.warnings:
         print("warning:", plain(warning), file=sys.stderr)
-    source = None
-    if reading and resume is not None:
-        source = reading.source(sequence if isinstance(sequence, datasets.RecordedSequence) else None)
-    identity = Identity.of(__version__, config, title, sequence.timestamps, sequence.camera, source)
     if resume:
-        path = out or (Path("runs") / title / "latest").resolve()
-        state = checkpoint.load(path, identity, [Snapshot])
-        print(f"going on after frame {len(state.records)} of {len(sequence)} in {plain(path)}", flush=True)
+        path = out or (Path("runs") / job.title / "latest").resolve()
+        state = job.go_on(path)
+        print(f"going on after frame {len(state.records)} of {len(job.sequence)} in {plain(path)}", flush=True)
     else:
-        path = out or default_folder(title, datetime.now())
-        state = State(make_odometry(config), [], [])
-    method, records, done_before = state.odometry, state.records, len(state.records)
+        path = out or default_folder(job.title, datetime.now())
+        state = job.begin()
+    tracked = do(job, path, state, observers, resume)
+    if tracked.problem:
+        print("warning:", plain(tracked.problem), file=sys.stderr)
+    looked_at = f"{job.title}, interrupted" if tracked.stopped else job.title
+    again = [("go on with", "the same command and --resume")] if tracked.kept and tracked.stopped else []
+    folder, has_page = path.absolute(), bool(tracked.done.records)
+    results = [("results in", str(folder)), ("look at", str(folder / "report.html"))]
+    shown = [*run_rows(tracked.done, tracked.summary), *tracked.rows, *again, *(results if has_page else results[:1])]
+    show_table(looked_at, shown)
+    answer(sequence=job.title, folder=folder, report=folder / "report.html" if has_page else None, **tracked.summary)
+    return INTERRUPTED if tracked.stopped else 0
+
+
+def do(
+    job: Job,
+    path: Path,
+    state: State,
+    observers: Sequence[Observer] = (),
+    resume: bool | None = None,
+    terminal: bool = True,
+) -> Tracked:
+    """Track what is left of a job into a run folder.
+
+    resume: as for track(). terminal: with a bar, and Ctrl-C ends it after a frame; else silent, and fit for a thread.
+    """
+    sequence, method, records = job.sequence, state.odometry, state.records
+    done_before = len(records)
     snapshots: list[Snapshot] = state.extras
-    folder = RunFolder(path, configfile.dump(config), resumed=bool(resume))
     kept = resume is not None and checkpoint.can_keep(method)
-    checkpoints = Checkpoints(path, identity, [Snapshot]) if kept else None
+    checkpoints = Checkpoints(path, job.identity(), [Snapshot]) if kept else None
     count_statuses = status_counter()
     session = Session(path, method, records, sequence.groundtruth)
+    folder = RunFolder(path, configfile.dump(job.config), resumed=bool(resume))
     with folder:
-        if reading:
-            reading.remember(path)
-        with stop_at_interrupt() as stopped, progress_bar(title, len(sequence)) as advance:
+        if job.reading:
+            job.reading.remember(path)
+        with _watched(job, terminal) as (stopped, advance):
             for record in records:
                 folder.append(record)
                 advance(count_statuses(record))
@@ -113,22 +173,28 @@ def track(
             if checkpoints:  # an interrupted run goes on here; a finished one drops it at the end
                 checkpoints.offer(state, now=True)
             evaluation, rows = _evaluated(done, method, sequence.groundtruth)
-            summary = folder.finish(done, method, evaluation, with_map=map_kind != "none")
-        if map_kind == "mesh" and done.records:
-            rows.append(("mesh", _mesh(sequence, believable(method.trajectory(), done), path / "mesh.ply")))
+            summary = folder.finish(done, method, evaluation, with_map=job.map_kind != "none")
+        if job.map_kind == "mesh" and done.records:
+            trajectory = believable(method.trajectory(), done)
+            rows.append(("mesh", _mesh(sequence, trajectory, path / "mesh.ply", terminal)))
         if done.records:
-            write_whole(path / "report.html", run_page(path, title, sequence.groundtruth, snapshots))
+            write_whole(path / "report.html", run_page(path, job.title, sequence.groundtruth, snapshots))
         for observer in observers:
             observer.finish(done, evaluation, session)
-    if checkpoints and checkpoints.problem:
-        print("warning:", plain(checkpoints.problem), file=sys.stderr)
     if checkpoints and not stopped:
         checkpoints.remove()
-    looked_at = f"{title}, interrupted" if stopped else title
-    again = [("go on with", "the same command and --resume")] if checkpoints and stopped else []
-    results = [("results in", str(folder.path)), ("look at", str(folder.path / "report.html"))]
-    show_table(looked_at, [*run_rows(done, summary), *rows, *again, *(results if done.records else results[:1])])
-    return INTERRUPTED if stopped else 0
+    problem = checkpoints.problem if checkpoints else ""
+    return Tracked(done, evaluation, summary, rows, bool(stopped), checkpoints is not None, problem)
+
+
+@contextmanager
+def _watched(job: Job, terminal: bool) -> Iterator[tuple[list[int], Callable[[str], None]]]:
+    """What Ctrl-C appends to, and a function that is told of every frame."""
+    if not terminal:
+        yield [], lambda note: None
+        return
+    with stop_at_interrupt() as stopped, progress_bar(job.title, len(job.sequence)) as advance:
+        yield stopped, advance
 
 
 def _from(sequence: datasets.RgbdSequence, first: int) -> Iterable[RgbdFrame | BrokenFrame]:
@@ -138,10 +204,10 @@ def _from(sequence: datasets.RgbdSequence, first: int) -> Iterable[RgbdFrame | B
     return (sequence.read(number) for number in range(first, len(sequence))) if first else sequence
 
 
-def _mesh(sequence: datasets.RgbdSequence, trajectory: Trajectory, out: Path) -> str:
+def _mesh(sequence: datasets.RgbdSequence, trajectory: Trajectory, out: Path, terminal: bool) -> str:
     """The mesh in words; why there is none, where it could not be made: the rest of the run is worth as much."""
     try:
-        return fuse_mesh(sequence, trajectory, out)
+        return fuse_mesh(sequence, trajectory, out, terminal=terminal)
     except IdRgbdoError as error:
         return f"none: {error}"
 

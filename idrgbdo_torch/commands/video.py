@@ -13,6 +13,7 @@ from ..config import Config
 from ..errors import IdRgbdoError
 from ..text import configfile
 from .input import Input, Settings, input_of_run, open_input
+from .output import Output, answer
 
 FPS = 30.0  # where the recording does not say
 
@@ -28,6 +29,7 @@ class VideoCommand:
     out: Path | None = None  # .mp4 or .gif; else video.mp4 in the run's folder, or in runs/<sequence>
     fps: configfile.Positive | None = None  # frames per second; else the recording's own
     width: configfile.Count | None = None  # px; else as large as the images, 480 for a gif
+    output: Annotated[Output, arg(name="")] = field(default_factory=Output)
 
 
 def video(command: VideoCommand) -> int:
@@ -53,4 +55,5 @@ def video(command: VideoCommand) -> int:
     if not count:
         raise IdRgbdoError(f"source: no frame of '{sequence}' could be read; try idrgbdo check")
     show_table(recording.name, [("frames", str(count)), ("frames per second", f"{fps:.1f}"), ("video", str(out))])
+    answer(frames=count, frames_per_second=fps, video=out)
     return 0

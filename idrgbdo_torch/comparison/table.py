@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from ..text.latex import booktabs
 from .summary import Agreement, Comparison, Row, Spread
 
 
@@ -61,6 +62,7 @@ COLUMNS = (
     Column("MB", _number("peak_memory_mb", 0)),
     Column("lost because", lambda row: row.error or _reasons(row)),
 )
+AGREEMENT = ": RPE between methods, mm/s (needs no reference)"
 LEGEND = (
     "ATE: RMSE after rigid alignment without scale. RPE: RMSE of the drift over 1 s. K2FE: mean error of a frame "
     "against its keyframe, where a method has keyframes. made of: the poses behind ATE and pairs behind RPE, "
@@ -79,6 +81,32 @@ def tables(comparison: Comparison) -> list[Table]:
     for sequence in comparison.sequences:
         found.append(_table(sequence, comparison.rows(sequence)))
     return found + [_agreement(comparison.agreement(sequence)) for sequence in comparison.sequences]
+
+
+def best_cells(table: Table) -> set[tuple[int, int]]:
+    """The least error and time of each column, as (row, column); the null baseline is no rival."""
+    best = set()
+    for column, title in enumerate(table.columns):
+        if title.split(" ")[0] in ("ATE", "RPE", "K2FE", "ms"):
+            values = {r: float(row[column].split(" ")[0]) for r, row in enumerate(table.rows) if row[column]}
+            values = {r: value for r, value in values.items() if table.rows[r][0] != "constant-velocity"}
+            if values:
+                best.add((min(values, key=lambda r: values[r]), column))
+    return best
+
+
+def to_latex(comparison: Comparison) -> str:
+    """The tables as LaTeX with booktabs, without memory and reasons; agreement is left to the page."""
+    parts = []
+    for table in tables(comparison):
+        if table.title.endswith(AGREEMENT):
+            continue
+        kept = [c for c, title in enumerate(table.columns) if title not in ("made of", "MB", "lost because")]
+        best = {(r, kept.index(c)) for r, c in best_cells(table) if c in kept}
+        rows = [[row[c] for c in kept] for row in table.rows]
+        parts.append(booktabs([table.columns[c] for c in kept], rows, table.title, table.title, best))
+    notes = "".join(f"% {line}\n" for line in (LEGEND, provenance(comparison)))
+    return notes + "\n".join(parts)
 
 
 def to_markdown(comparison: Comparison) -> str:
@@ -130,7 +158,7 @@ def _agreement(agreement: Agreement) -> Table:
         (f"{numbers[a]} {a}", *("" if value is None else f"{1000 * value:.1f}" for value in row))
         for a, row in zip(agreement.methods, agreement.rpe_m_per_s, strict=True)
     )
-    title = f"{agreement.sequence}: RPE between methods, mm/s (needs no reference)"
+    title = agreement.sequence + AGREEMENT
     return Table(title, ("method", *numbers.values()), rows)
 
 

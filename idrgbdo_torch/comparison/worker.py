@@ -29,10 +29,21 @@ class Source:
     start: int = 0
     every: int = 1
     max_frames: int | None = None
+    format: str | None = None  # else it is recognised
+    camera: Path | None = None  # else the recording's own
+    depth_scale: float | None = None  # depth values per metre; else the camera file's or the format's
 
     def open(self) -> RgbdSequence:
         """The sequence. Raises IdRgbdoError where there is none."""
-        return open_sequence(self.folder, start=self.start, every=self.every, max_frames=self.max_frames)
+        return open_sequence(
+            self.folder,
+            format=self.format,
+            camera=self.camera,
+            depth_scale=self.depth_scale,
+            start=self.start,
+            every=self.every,
+            max_frames=self.max_frames,
+        )
 
 
 def run_apart(

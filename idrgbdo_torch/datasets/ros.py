@@ -159,7 +159,7 @@ class _Bag:
                 for _, data in islice(self._messages(connection), LOOK_AT):
                     try:
                         with _damage_named(where):
-                            return _calibration(self._decode(data, connection), "rect" in color_topic, where)
+                            return calibration_of_info(self._decode(data, connection), "rect" in color_topic, where)
                     except IdRgbdoError as error:
                         first_error = first_error or error
                 if first_error is not None:
@@ -264,7 +264,7 @@ def _damage_named(where: str, advice: str = "repair or record it again") -> Iter
         raise IdRgbdoError(f"{where}: the recording is damaged ({said}); {advice}") from error
 
 
-def _calibration(info: Any, rectified: bool, where: str) -> Calibration:
+def calibration_of_info(info: Any, rectified: bool, where: str) -> Calibration:
     """Intrinsics of a CameraInfo, whose fields ROS 1 writes in capitals and ROS 2 does not."""
     K, D, P = (_field(info, name) for name in "KDP")
     if rectified:

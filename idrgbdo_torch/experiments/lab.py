@@ -17,6 +17,8 @@ from ..config import Config
 from ..datasets import open_sequence
 from ..errors import IdRgbdoError
 from ..runs.machine import machine_name
+from ..text.latex import booktabs
+from .drawing import FIGURES, save_figure
 from .sweep import Progress, Workers, sweep
 from .task import Clip, Measured, Task, content_digest, measure, measured
 
@@ -61,6 +63,7 @@ class Lab:
     quick: bool = False
     seeds: int = 10
     paper: Config | None = None  # the paper's method as printed
+    alone: bool = False  # of this package's methods alone, beside what is published for the recordings
     progress: Callable[[str], AbstractContextManager[Callable[[Progress], None]]] = _silent
 
     @property
@@ -114,14 +117,14 @@ def interval(values: Sequence[float]) -> tuple[float, float]:
 
 
 def write_report(report: Report, name: str, out: Path) -> list[Path]:
-    """CSV files, figure as PNG and SVG, and a Markdown page of them all; what was written, the page first."""
-    written = []
+    """CSV files, LaTeX, the figure as PNG, SVG and PDF, and a Markdown page; what was written, the page first."""
+    written, latex = list[Path](), list[str]()
     lines = [f"# {report.title}", ""]
     if report.figure is not None:
         drawn = report.figure()
-        for suffix in ("png", "svg"):
+        for suffix in FIGURES:
             written.append(out / f"{name}.{suffix}")
-            drawn.savefig(written[-1], dpi=130, metadata={"Date": None} if suffix == "svg" else None)
+            save_figure(drawn, written[-1])
         lines += [f"![{report.title}]({name}.png)", ""]
     lines += [f"- {finding}" for finding in report.findings]
     for stem, table in report.tables.items():
@@ -132,6 +135,10 @@ def write_report(report: Report, name: str, out: Path) -> list[Path]:
             writer.writerows([_csv_cell(cell) for cell in row] for row in table.rows)
         written.append(path)
         lines += ["", f"[{path.name}]({path.name})", "", *markdown(table)]
+        rows = [[shown(cell) for cell in row] for row in table.rows]
+        latex.append(booktabs(table.columns, rows, f"{report.title} ({stem})", stem))
+    written.append(out / f"{name}.tex")
+    written[-1].write_text("\n".join(latex), encoding="utf-8")
     page = out / f"{name}.md"
     page.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return [page, *written]

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from ..config import Config
+from ..config import Config, settings_file
 from ..errors import IdRgbdoError
 from ..text import configfile
 from .lab import find_clips, short_name
@@ -21,7 +21,6 @@ QUICK_NAMES = (  # one of each kind
     *("fr1_desk", "fr2_desk", "fr2_xyz", "fr3_cabinet", "fr3_nostructure_texture_far"),
     *("fr3_structure_notexture_near", "fr3_structure_texture_far", "fr3_structure_texture_near"),
 )
-PAPER = Path("configs") / "paper.toml"
 TABLE_ORDER = [relative.name for relative in RELATIVES]
 
 
@@ -68,10 +67,6 @@ def recorded_clips(folder: Path, names: str, frames: int | None) -> tuple[Clip, 
     return find_clips([found[name] for name in chosen], frames)
 
 
-def paper_config(path: Path | None) -> Config | None:
-    """The paper's configuration: from the file, else from configs/ beside the package or here; None without one."""
-    places = [path] if path else [Path(__file__).resolve().parents[2] / PAPER, PAPER]
-    for place in places:
-        if place.exists() or place is path:
-            return configfile.load(place, Config())
-    return None
+def paper_config(path: Path | None) -> Config:
+    """The paper's configuration: from the file, else the one that comes along."""
+    return configfile.load(settings_file(path or Path("paper")), Config())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from ..config import Config
 from .drawing import SERIES, new_figure
 from .lab import Cell, Lab, Report, Table
-from .paper import TABLE_1, PaperRow
+from .paper import PUBLISHED, SEQUENCES, TABLE_1, PaperRow
 from .task import Measured, Task
 
 if TYPE_CHECKING:
@@ -23,6 +23,15 @@ RIVALS = ("open3d", "opencv", "features", "edges")
 SLOW = ("open3d-legacy-color", "open3d-legacy-hybrid")  # left out when it is to be quick
 NEAR, FAST = 1.5, 1 / 20  # how close to the dense row in error, and at which share of its time
 Results = Mapping[tuple[str, str], Measured]  # by row (method) and sequence
+KINDS = {  # tables by the stems of their files: unit, field of a result, factor
+    "table1_rpe": ("RPE mm/s", "rpe_m_per_s", 1000.0),
+    "table1_rpe_deg": ("RPE deg/s", "rpe_deg_per_s", 1.0),
+    "table1_ate": ("ATE mm", "ate_m", 1000.0),
+    "table1_lost": ("lost frames", "lost", 1.0),
+    "table1_ms": ("median ms a frame", "ms_median", 1.0),
+    "table1_total": ("s in all", "total_s", 1.0),
+}
+SOURCES = tuple(f"{column.label}: {column.source}" for column in PUBLISHED)
 
 
 def run(lab: Lab) -> Report:
@@ -30,16 +39,9 @@ def run(lab: Lab) -> Report:
     results = survey(lab)
     methods = list(dict.fromkeys(method for method, _ in results))
     names = [clip.name for clip in lab.clips]
-    kinds: dict[str, tuple[str, str, float]] = {
-        "table1_rpe": ("RPE mm/s", "rpe_m_per_s", 1000.0),
-        "table1_ate": ("ATE mm", "ate_m", 1000.0),
-        "table1_lost": ("lost frames", "lost", 1.0),
-        "table1_ms": ("median ms a frame", "ms_median", 1.0),
-        "table1_total": ("s in all", "total_s", 1.0),
-    }
-    tables = {}
-    for stem, (unit, field, factor) in kinds.items():
-        beside = _paper_columns("rpe" if field.startswith("rpe") else "ate") if factor > 1 else {}
+    tables = {"table1_published": published(results, methods, names)} if lab.alone else {}
+    for stem, (unit, field, factor) in KINDS.items():
+        beside = _paper_columns("rpe" if stem == "table1_rpe" else "ate") if factor > 1 else {}
         columns = (f"sequence, {unit}", *methods, *beside)
         rows = tuple(
             (name, *(_scaled(getattr(results[method, name], field), factor) for method in methods),
@@ -51,25 +53,37 @@ def run(lab: Lab) -> Report:
     return Report(
         f"Table 1, {lab.source}; the paper's numbers are of the TUM recordings",
         tables,
-        tuple(findings(results, methods, names)),
+        (*findings(results, methods, names), *(SOURCES if lab.alone else ())),
         lambda: draw(results, methods, names),
     )
 
 
 def survey(lab: Lab) -> dict[tuple[str, str], Measured]:
     """Every method on every clip."""
-    from baselines import METHODS
-
     rows: dict[str, tuple[str, Config | None]] = {
         f"ours-{count}": ("ours", with_points(Config(), count)) for count in (FEW, MANY)
     }
     if lab.paper is not None:
         rows |= {f"paper-{count}": ("ours", with_points(lab.paper, count)) for count in (FEW, MANY)}
-    rows |= {name: (name, None) for name in others(METHODS, lab.quick)}
+    if not lab.alone:
+        from baselines import METHODS
+
+        rows |= {name: (name, None) for name in others(METHODS, lab.quick)}
     plan = {
         (row, clip.name): Task(clip, method, config) for clip in lab.clips for row, (method, config) in rows.items()
     }
     return dict(zip(plan, lab.measure(list(plan.values())), strict=True))
+
+
+def published(results: Results, methods: Sequence[str], names: Sequence[str]) -> Table:
+    """Ours beside what others report for the same recordings, RPE in mm/s; empty where nobody has measured."""
+    columns = ("sequence, RPE mm/s", *methods, *(f"{column.label} (published)" for column in PUBLISHED))
+    rows = []
+    for name in [*SEQUENCES, *(name for name in names if name not in SEQUENCES)]:
+        ours = [_scaled(results[method, name].rpe_m_per_s, 1000.0) if name in names else None for method in methods]
+        theirs = [_scaled(column.rpe_m_per_s.get(name), 1000.0) for column in PUBLISHED]
+        rows.append((name, *ours, *theirs))
+    return Table(columns, tuple(rows))
 
 
 def others(methods: Mapping[str, Method], quick: bool) -> list[str]:
@@ -94,9 +108,10 @@ def findings(results: Results, methods: Sequence[str], names: Sequence[str]) -> 
         found = results[method, name].rpe_m_per_s
         return far if found is None or results[method, name].error else found
 
-    rivals = [method for method in methods if method.startswith(RIVALS)]
-    ahead = [name for name in names if all(rpe(f"ours-{FEW}", name) < rpe(method, name) for method in rivals)]
-    lines = [f"ours-{FEW} is ahead of every Open3D, OpenCV, feature and edge row on {_of(ahead, names)}"]
+    lines = []
+    if rivals := [method for method in methods if method.startswith(RIVALS)]:
+        ahead = [name for name in names if all(rpe(f"ours-{FEW}", name) < rpe(method, name) for method in rivals)]
+        lines.append(f"ours-{FEW} is ahead of every Open3D, OpenCV, feature and edge row on {_of(ahead, names)}")
     if "dense" in methods:
         near = [name for name in names if rpe(f"ours-{MANY}", name) <= NEAR * rpe("dense", name)]
         shares = [

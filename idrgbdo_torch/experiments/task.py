@@ -92,6 +92,7 @@ class Measured:
     keyframes: int = 0
     ate_m: float | None = None
     rpe_m_per_s: float | None = None
+    rpe_deg_per_s: float | None = None
     k2fe_mean_m: float | None = None
     refined_ate_m: float | None = None  # of the poses that the window refined afterwards
     entropy_bits: float | None = None  # mean differential entropy of the pose against its keyframe, metres and radians
@@ -126,6 +127,7 @@ def measure(task: Task) -> dict[str, Any]:
         keyframes=summary["keyframes"],
         ate_m=evaluation.ate.rmse_m if evaluation else None,
         rpe_m_per_s=evaluation.rpe.rmse_m_per_s if evaluation and evaluation.rpe else None,
+        rpe_deg_per_s=evaluation.rpe.rmse_deg_per_s if evaluation and evaluation.rpe else None,
         k2fe_mean_m=evaluation.k2fe.mean_m if evaluation and evaluation.k2fe else None,
         refined_ate_m=refined,
         entropy_bits=_mean_entropy_bits(done),

@@ -35,16 +35,26 @@ class Motion:
     twist_covariance: Array  # (6, 6) in the same order
 
 
+Known = tuple[float, Mapping[str, str], Array]  # a frame's time (s), its row of frames.csv, its T_world_cam
+
+
 def motion_of(run: TrackedRun, number: int, believed: Collection[int]) -> Motion:
     """A frame of a run in optical axes. The velocity is that since the frame before, where that is believed too."""
-    row, T = run.rows[number], run.T_world_cam[number]
+    before = (
+        (run.times[number - 1], run.rows[number - 1], run.T_world_cam[number - 1]) if number - 1 in believed else None
+    )
+    return motion_between(before, (run.times[number], run.rows[number], run.T_world_cam[number]))
+
+
+def motion_between(before: Known | None, now: Known) -> Motion:
+    """A frame in optical axes, with the velocity since another; unknown where that is None."""
+    time, row, T = now
     pose_covariance = _symmetric(row, "covariance", POSE)
     twist, covariance = np.zeros(6), _unknown()
-    dt = run.times[number] - run.times[number - 1] if number else 0.0
-    if number - 1 in believed and dt > 0:
-        T_cam_before = inverse(torch.from_numpy(T)) @ torch.from_numpy(run.T_world_cam[number - 1])
+    if before is not None and (dt := time - before[0]) > 0:
+        T_cam_before = inverse(torch.from_numpy(T)) @ torch.from_numpy(before[2])
         twist = log(inverse(T_cam_before)).numpy() / dt
-        between = _between(row, run.rows[number - 1], adjoint(T_cam_before).numpy())
+        between = _between(row, before[1], adjoint(T_cam_before).numpy())
         covariance = covariance if between is None else between / dt**2
     return Motion(T, _unknown() if pose_covariance is None else pose_covariance, twist, covariance)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import colorsys
 
 from ..comparison import Comparison
-from ..comparison.table import LEGEND, Table, provenance, tables
+from ..comparison.table import LEGEND, Table, best_cells, provenance, tables
 from . import figures, series
 from .figures import Line
 from .page import Section, figure, page, pair, preformatted, table, tiles
@@ -104,14 +104,7 @@ def _colors(comparison: Comparison) -> dict[str, str]:
 
 def _table_html(each: Table) -> str:
     """A table whose least errors and times stand out."""
-    best = set()
-    for column, title in enumerate(each.columns):
-        if title.split(" ")[0] in ("ATE", "RPE", "K2FE", "ms"):
-            values = {r: float(row[column].split(" ")[0]) for r, row in enumerate(each.rows) if row[column]}
-            values = {r: value for r, value in values.items() if each.rows[r][0] != "constant-velocity"}
-            if values:
-                best.add((min(values, key=lambda r: values[r]), column))
-    return table(each.columns, each.rows, best)
+    return table(each.columns, each.rows, best_cells(each))
 
 
 def _descriptions(comparison: Comparison) -> str:

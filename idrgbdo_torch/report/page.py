@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
+from urllib.parse import quote
 
 STYLE = """
 :root { --ink: #1d2733; --muted: #66727f; --line: #dfe4ea; --card: #ffffff; --page: #f4f6f8; --accent: #c2410c; }
@@ -79,10 +81,13 @@ class Section:
     note: str = ""
 
 
-def page(title: str, subtitle: str, intro: str, sections: list[Section], footer: str) -> str:
-    """The whole document; plotly's script stands inside, so that it works without a network."""
-    from plotly.offline import get_plotlyjs
+def page(title: str, subtitle: str, intro: str, sections: list[Section], footer: str, plots: bool = True) -> str:
+    """The whole document; where it has plots, plotly's script stands inside, so that it works without a network."""
+    script = ""
+    if plots:
+        from plotly.offline import get_plotlyjs
 
+        script = f"<script>{get_plotlyjs()}</script>"
     links = "".join(f'<a href="#{_anchor(s.title)}">{escape(s.title)}</a>' for s in sections)
     body = "".join(
         f'<section><h2 id="{_anchor(s.title)}">{escape(s.title)}</h2>'
@@ -93,7 +98,7 @@ def page(title: str, subtitle: str, intro: str, sections: list[Section], footer:
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1"><link rel="icon" href="data:,">'
-        f"<style>{STYLE}</style><script>{get_plotlyjs()}</script></head><body><main>"
+        f"<style>{STYLE}</style>{script}</head><body><main>"
         f'<h1>{escape(title)}</h1><p class="subtitle">{escape(subtitle)}</p><nav>{links}</nav>{intro}{body}'
         f"<footer>{escape(footer)}</footer></main><script>{SCRIPT}</script></body></html>\n"
     )
@@ -116,16 +121,26 @@ def tiles(values: list[tuple[str, str]]) -> str:
     return f'<div class="tiles">{"".join(cards)}</div>'
 
 
-def table(columns: tuple[str, ...], rows: tuple[tuple[str, ...], ...], best: set[tuple[int, int]] | None = None) -> str:
-    """A table that sorts by a click on a heading; best: cells (row, column) that stand out."""
+def table(
+    columns: tuple[str, ...],
+    rows: tuple[tuple[str, ...], ...],
+    best: set[tuple[int, int]] | None = None,
+    links: Sequence[str] = (),
+) -> str:
+    """A table that sorts by a click on a heading; best: cells (row, column) that stand out.
+
+    links: where the first cell of each row leads, an address relative to the page; empty for nowhere.
+    """
     words = {c for c in range(1, len(columns)) if not any(row[c][:1].isdigit() for row in rows if row[c][1:2] != " ")}
     kind = [" class=text" if c in words else "" for c in range(len(columns))]
     head = "".join(f"<th{kind[c]}>{escape(column)}</th>" for c, column in enumerate(columns))
     body = ""
     for r, row in enumerate(rows):
+        texts = [escape(cell) for cell in row]
+        if links and links[r]:
+            texts[0] = f'<a href="{escape(quote(links[r]))}">{texts[0]}</a>'
         cells = (
-            f"<td{' class=best' if best and (r, c) in best else kind[c]}>{escape(cell)}</td>"
-            for c, cell in enumerate(row)
+            f"<td{' class=best' if best and (r, c) in best else kind[c]}>{text}</td>" for c, text in enumerate(texts)
         )
         body += f"<tr>{''.join(cells)}</tr>"
     return f'<div class="card scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'

@@ -15,13 +15,17 @@ from ..text.plain import plain
 
 Rows = list[tuple[str, str]]
 MOST_REASONS = 3  # kinds of reasons for a loss that are shown
+KERNELS = 60  # functions that are compiled, about
 COLORS = {Status.OK: "green", Status.WEAK: "yellow", Status.LOST: "red"}
 
 
 @contextmanager
-def progress_bar(title: str, total: int) -> Iterator[Callable[[str], None]]:
-    """A bar with frames per second and remaining time, on a terminal only; call the function once a frame."""
-    if not sys.stdout.isatty():
+def progress_bar(title: str, total: int | None) -> Iterator[Callable[[str], None]]:
+    """A bar with frames per second and remaining time, on a terminal only; call the function once a frame.
+
+    total: None for no bar at all.
+    """
+    if total is None or not sys.stdout.isatty():
         yield lambda note: None
         return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -38,6 +42,23 @@ def progress_bar(title: str, total: int) -> Iterator[Callable[[str], None]]:
             progress.update(task, advance=1, fps=done / max(time.monotonic() - begin, 1e-9), note=note)
 
         yield advance
+
+
+@contextmanager
+def compiling_bar() -> Iterator[Callable[[], None] | None]:
+    """A bar over the kernels, shown from the first that has to be compiled; call the function once a kernel.
+
+    On a terminal only; None elsewhere.
+    """
+    if not sys.stdout.isatty():
+        yield None
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, transient=True) as progress:
+        tasks = [progress.add_task("compiling the kernels, once", total=KERNELS, visible=False)]
+        yield lambda: progress.update(tasks[0], advance=1, visible=True)
 
 
 def status_counter() -> Callable[[Record], str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -22,23 +24,38 @@ COLUMNS = (
 )
 
 
+SHARE = 0.4  # of a keyframe's variance as tracked, that is left once the window measured it against others too
+RECENT, BEFORE = 8, 4  # corrections by the window that count, and those of the expected size that a run begins with
+UNMOVED = 1e-12  # a correction that is rounding
+GROWTH = 1.5  # power of the corrections' mean by which variances grow; the three numbers: docs/covariance.md
+
+
 class Certainty:
     """Follows a run frame by frame. A frame's error is its own against its keyframe, on top of the keyframe's.
 
-    The two are taken for independent, and nothing is taken back when the window refines a keyframe: on the safe side.
+    The two are taken for independent. The window measures a keyframe against several others, and so takes back a part
+    of what its own measurement had wrong: SHARE is left. How far it moves a keyframe, in standard deviations, also says
+    whether the measurements are as good as they claim: where they move too far, all variances grow.
     """
 
     def __init__(self) -> None:
         self._known: dict[float, Array] = {}  # by time (s), (6, 6) covariance of a left increment of T_cam_world
         self._before: tuple[float, TrackResult] | None = None  # time (s) and result of the frame before
+        self._keyframe: tuple[float, TrackResult] | None = None  # the same of the last keyframe
+        self._corrections = deque([1.0] * BEFORE, maxlen=RECENT)  # squared, in variances; 1 is as expected
+
+    def follow(self, record: Record) -> tuple[Array | None, Array | None]:
+        """The next frame: (6, 6) covariance in the world as in_world has it, and (6,) velocity [v, w] of the camera in
+        its own axes, m/s and rad/s. None where unknown.
+        """
+        covariance, velocity = self._covariance(record), self._velocity(record)
+        self._before = record.timestamp, record.result
+        return None if covariance is None else in_world(covariance, record.result.T_world_cam.numpy()), velocity
 
     def cells(self, record: Record) -> list[str]:
-        """The cells of COLUMNS, empty where there is no value."""
+        """The cells of COLUMNS of the next frame, empty where there is no value."""
         result = record.result
-        covariance = self._covariance(record)
-        velocity = self._velocity(record)
-        self._before = record.timestamp, result
-        world = None if covariance is None else in_world(covariance, result.T_world_cam.numpy())
+        world, velocity = self.follow(record)
         measured: list[float] = []
         if result.T_ref_cam is not None:
             measured += result.T_ref_cam[:3, 3].tolist() + quaternion_from_rotation(result.T_ref_cam[:3, :3]).tolist()
@@ -56,11 +73,29 @@ class Certainty:
             found = np.zeros((6, 6))  # the world is where the first frame says
         elif reference in self._known and result.T_ref_cam is not None and result.information is not None:
             own = inverted(result.information.numpy())
+            correction = self._correction(result)
+            if correction > 0.0:
+                self._corrections.append(correction)
+            share = SHARE if correction > 0.0 else 1.0
+            growth = max(1.0, sum(self._corrections) / len(self._corrections)) ** GROWTH
             Ad = adjoint(inverse(result.T_ref_cam)).numpy()
-            found = None if own is None else own + Ad @ self._known[reference] @ Ad.T
+            found = None if own is None else share * growth * own + Ad @ self._known[reference] @ Ad.T
         if found is not None:
             self._known[record.timestamp] = found
+        if result.keyframe:
+            self._keyframe = record.timestamp, result
         return found
+
+    def _correction(self, result: TrackResult) -> float:
+        """How far the window moved a new keyframe, squared and over the variance of its measurement; 0 where not."""
+        if self._keyframe is None or not result.keyframe or result.T_ref_cam is None or result.information is None:
+            return 0.0
+        time, last = self._keyframe
+        if time != result.reference_time or last.segment != result.segment:
+            return 0.0
+        moved = log(inverse(result.T_world_cam) @ last.T_world_cam @ result.T_ref_cam)
+        correction = float(moved @ result.information @ moved) / 6.0
+        return correction if correction > UNMOVED else 0.0
 
     def _velocity(self, record: Record) -> Array | None:
         """(6,) [v, w] of the camera in its own axes since the frame before, m/s and rad/s."""

@@ -90,7 +90,7 @@ class RunFolder:
             self._trajectory.append(line)
             if record.result.keyframe:
                 self._keyframes.append(line)
-            self._frames.append(_csv_line([*_row(record), *self._certainty.cells(record)]))
+            self._frames.append(_csv_line(row_of(record, self._certainty).values()))
         except IdRgbdoError:
             for file, size in zip(self._files, sizes, strict=True):
                 file.cut(size)
@@ -193,20 +193,26 @@ def summarise(run: Run, evaluation: Evaluation | None = None) -> dict[str, Any]:
         },
         "frames_per_second": 1000 / mean_ms if mean_ms else None,
     }
-    if evaluation is not None:
-        rpe, k2fe = evaluation.rpe, evaluation.k2fe
-        summary["evaluation"] = {
-            "ate_rmse_m": evaluation.ate.rmse_m,
-            "rpe_rmse_m_per_s": rpe.rmse_m_per_s if rpe else None,
-            "rpe_rmse_deg_per_s": rpe.rmse_deg_per_s if rpe else None,
-            "rpe_pairs": len(rpe.errors_m) if rpe else 0,
-            "k2fe_mean_m": k2fe.mean_m if k2fe else None,
-            "k2fe_sum_m": k2fe.sum_m if k2fe else None,
-        }
-        summary["matched_poses"] = evaluation.matched_poses
-        T_groundtruth_estimate = evaluation.ate.T_reference_estimate.tolist()
-        summary["alignment"] = {"kind": "SE(3), no scale", "T_groundtruth_estimate": T_groundtruth_estimate}
-    return summary
+    return summary if evaluation is None else summary | evaluation_summary(evaluation)
+
+
+def evaluation_summary(evaluation: Evaluation) -> dict[str, Any]:
+    """The errors as summary.json has them."""
+    rpe, k2fe = evaluation.rpe, evaluation.k2fe
+    errors = {
+        "ate_rmse_m": evaluation.ate.rmse_m,
+        "rpe_rmse_m_per_s": rpe.rmse_m_per_s if rpe else None,
+        "rpe_rmse_deg_per_s": rpe.rmse_deg_per_s if rpe else None,
+        "rpe_pairs": len(rpe.errors_m) if rpe else 0,
+        "k2fe_mean_m": k2fe.mean_m if k2fe else None,
+        "k2fe_sum_m": k2fe.sum_m if k2fe else None,
+    }
+    T_groundtruth_estimate = evaluation.ate.T_reference_estimate.tolist()
+    return {
+        "evaluation": errors,
+        "matched_poses": evaluation.matched_poses,
+        "alignment": {"kind": "SE(3), no scale", "T_groundtruth_estimate": T_groundtruth_estimate},
+    }
 
 
 def measurements(run: Run) -> list[Measurement]:
@@ -250,6 +256,11 @@ def _csv_line(cells: Iterable[str]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerow(cells)
     return text.getvalue()
+
+
+def row_of(record: Record, follower: certainty.Certainty) -> dict[str, str]:
+    """The next row of frames.csv by its columns."""
+    return dict(zip(COLUMNS, [*_row(record), *follower.cells(record)], strict=True))
 
 
 def _row(record: Record) -> list[str]:

@@ -31,16 +31,17 @@ DEPTH_M = 1.5
 log = logging.getLogger("idrgbdo_torch")
 
 
-def warm_up(make: Callable[[], Odometry]) -> None:
+def warm_up(make: Callable[[], Odometry], on_function: Callable[[], None] | None = None) -> None:
     """Compile every kernel, or load it from the cache, unless this process has done so.
 
-    make: the odometry whose kernels they are; it tracks some tiny frames. Where something has to be compiled, a
-    warning is logged, which Python shows on stderr unless told otherwise. Loading takes some 0.3 s.
+    make: the odometry whose kernels they are; it tracks some tiny frames. Where something has to be compiled,
+    on_function is called for every function of the kernels; without it a warning is logged, which Python shows on
+    stderr unless told otherwise. Loading takes some 0.3 s.
     """
     if align.signatures:
         return
     odometry = make()
-    notice = Notice()
+    notice = Notice(on_function)
     with install_listener("numba:compile", notice):
         for number, frame in enumerate(tiny_film()):
             if number == 2:  # about to need the window
@@ -67,16 +68,20 @@ class Notice(Listener):  # type: ignore[misc]  # numba has no types
     numba compiles one function at a time in a process; the window's take a third of the time.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, on_function: Callable[[], None] | None = None) -> None:
+        self._on_function = on_function
         self._said = False
         self._other: subprocess.Popen[bytes] | None = None
 
     def on_start(self, event: Event) -> None:
         """A function that is not in the cache."""
+        if self._on_function is not None:
+            self._on_function()
         if self._said:
             return
         self._said = True
-        log.warning(NOTICE)
+        if self._on_function is None:
+            log.warning(NOTICE)
         if (os.cpu_count() or 1) > 1:
             script = "from idrgbdo_torch.tracker.warmup import compile_window; compile_window()"
             # if it fails, its share is compiled here after all

@@ -20,7 +20,7 @@ from recordings import write_recording
 from idrgbdo_torch.commands.cli import main
 from idrgbdo_torch.comparison import Comparison, External, Outcome, Source, compare, parse_external
 from idrgbdo_torch.comparison.outcome import RESULTS, append_outcome, read_outcomes
-from idrgbdo_torch.comparison.table import tables, to_csv, to_json, to_markdown
+from idrgbdo_torch.comparison.table import tables, to_csv, to_json, to_latex, to_markdown
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.trajectory import read_tum
 
@@ -238,3 +238,44 @@ def test_two_sequences_of_one_name_are_refused(make_recording: MakeRecording, tm
     folder = make_recording("same")
     with pytest.raises(IdRgbdoError, match="twice"):
         compare({}, [Source(folder), Source(folder)], tmp_path / "out")
+
+
+def test_latex_has_translation_and_rotation_and_the_best_of_each(comparison: Comparison) -> None:
+    text = to_latex(comparison)
+    head = next(line for line in text.splitlines() if line.lstrip().startswith("method"))
+    assert [title.strip() for title in head.rstrip("\\ ").split("&")][:4] == [
+        "method",
+        "ATE mm",
+        "RPE mm/s",
+        "RPE deg/s",
+    ]
+    assert r"\toprule" in text and r"\textbf{0.00}" in text  # the outside trajectory is the reference itself
+    assert text.count(r"\begin{table}") == 1 and text.startswith("% ATE")
+
+
+def test_the_command_draws_figures_and_reads_recordings_as_told(
+    make_recording: MakeRecording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = make_recording("bare", frames=40, calibration=None)
+    out = tmp_path / "out"
+    command = [
+        "compare",
+        str(folder),
+        "--methods",
+        "constant-velocity,opencv-rgb",
+        "--out",
+        str(out),
+        "--max-frames",
+        "35",
+    ]
+    assert main(command) == 1
+    assert "intrinsics" in capsys.readouterr().err
+    (tmp_path / "camera.toml").write_text("fx = 60\nfy = 60\ncx = 31.5\ncy = 23.5\n")
+    reading = ["--camera", str(tmp_path / "camera.toml"), "--format", "tum", "--depth-scale", "2500"]
+    assert main([*command, *reading, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert {row["method"] for row in answer["rows"]} == {"constant-velocity", "opencv-rgb"}
+    source = Source(folder, 0, 1, 35, "tum", tmp_path / "camera.toml", 2500.0).open().read(0)
+    assert float(source.depth.max()) == pytest.approx(3.0, abs=1e-3)  # type: ignore[union-attr]
+    for suffix in ("tex", "svg", "pdf"):
+        assert (out / f"comparison.{suffix}").stat().st_size > 500

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -56,7 +57,7 @@ def report(lab: Lab, name: str) -> list[str]:
     done = run_experiment(name, lab)
     lab.out.mkdir(parents=True, exist_ok=True)
     written = write_report(done, name, lab.out)
-    assert {path.suffix for path in written} == {".md", ".png", ".svg", ".csv"}
+    assert {path.suffix for path in written} == {".md", ".png", ".svg", ".pdf", ".tex", ".csv"}
     picture = cv2.imread(str(lab.out / f"{name}.png"))
     assert picture is not None and picture.std() > 5
     return list(done.findings)
@@ -98,7 +99,7 @@ def test_table1_and_fig1(lab: Lab) -> None:
         assert all(float(row[name]) > 0 for row in rows), name
     assert "ours-24" in found[0] and "dense" in found[1]
     assert {path.stem for path in few.out.glob("table1*.csv")} == {
-        *("table1_rpe", "table1_ate", "table1_lost", "table1_ms", "table1_total")
+        *("table1_rpe", "table1_rpe_deg", "table1_ate", "table1_lost", "table1_ms", "table1_total")
     }
     assert "ms with 24 points" in report(few, "fig1")[0]
 
@@ -274,3 +275,20 @@ def test_the_command(lab: Lab, capsys: pytest.CaptureFixture[str]) -> None:
     index = (lab.out / "results.md").read_text()
     assert "`idrgbdo experiment fig5 --quick --seeds 2 --data FOLDER`" in index and "## Fig. 5" in index
     assert set(NAMES) > {"fig5"}
+
+
+def test_ours_beside_what_is_published_for_the_recordings(
+    tmp_path: Path, lab: Lab, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data, out = tmp_path / "data", tmp_path / "out"
+    shutil.copytree(lab.clips[0].folder, data / "rgbd_dataset_freiburg1_desk2")
+    assert main(["experiment", "table1", "--tum", str(data), "--out", str(out), "--jobs", "2"]) == 0
+    rows = {row["sequence, RPE mm/s"]: row for row in rows_of(out / "table1_published.csv")}
+    assert float(rows["fr1_desk2"]["ours-24"]) > 0 and rows["fr1_desk"]["ours-24"] == ""
+    assert [float(rows["fr1_desk2"][f"{name} (published)"]) for name in ("DVO odometry", "ORB-SLAM3")] == [55.0, 35.9]
+    assert float(rows["fr1_desk"]["ID-RGBDO (published)"]) == 29.0
+    assert "dense" not in rows["fr1_desk"] and len(rows) == 21
+    assert "DVO odometry: Kerl, Sturm, Cremers" in capsys.readouterr().out
+    assert r"\toprule" in (out / "table1.tex").read_text()
+    assert main(["experiment", "fig3", "--tum", str(data)]) == 1
+    assert "tum: is for table1" in capsys.readouterr().err

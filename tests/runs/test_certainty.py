@@ -11,7 +11,7 @@ from torch import Tensor
 
 from idrgbdo_torch.definitions.se3 import exp, inverse
 from idrgbdo_torch.odometry import Record, Status, TrackResult
-from idrgbdo_torch.runs.certainty import COLUMNS, POSE, UPPER, Certainty, in_world, inverted
+from idrgbdo_torch.runs.certainty import COLUMNS, POSE, RECENT, SHARE, UPPER, Certainty, in_world, inverted
 
 SIGMA = torch.tensor([0.03, 0.01, 0.002, 0.001, 0.004, 0.02], dtype=torch.float64)  # m and rad, of every measurement
 
@@ -114,3 +114,29 @@ def test_a_frame_found_again_in_an_old_keyframe_is_as_certain_as_that_one() -> N
 def test_a_direction_that_nothing_measures_has_no_covariance() -> None:
     assert inverted(np.diag([1.0, 1, 1, 1, 1, 0])) is None
     np.testing.assert_allclose(inverted(np.diag([4.0, 1, 1, 1, 1, 2])), np.diag([0.25, 1, 1, 1, 1, 0.5]))
+
+
+def refined(size: float, links: int) -> list[Record]:
+    """A start and so many keyframes, each moved by `size` standard deviations of its measurement by the window."""
+    pose = torch.eye(4, dtype=torch.float64)
+    records = [record(0.0, pose, None, None)]
+    for number in range(links):
+        moved = size * SIGMA * torch.tensor([1.0, -1, 1, 1, -1, 1], dtype=torch.float64)
+        pose = pose @ exp(STEPS[number % 3]) @ exp(moved)
+        records.append(record(number + 1.0, pose, exp(STEPS[number % 3]), float(number)))
+    return records
+
+
+def test_of_a_keyframe_that_the_window_refined_a_share_of_its_variance_is_left() -> None:
+    tracked, kept = covariance(cells(refined(0.0, 1))[1]), covariance(cells(refined(0.5, 1))[1])
+    np.testing.assert_allclose(np.linalg.eigvalsh(kept), SHARE * np.linalg.eigvalsh(tracked), rtol=1e-3)
+
+
+def test_variances_grow_where_the_window_moves_keyframes_further_than_they_should_be_off() -> None:
+    records = refined(3.0, RECENT)
+    frame = record(RECENT + 0.5, records[-1].result.T_world_cam @ exp(STEPS[0]), exp(STEPS[0]), float(RECENT))
+    last = covariance(cells([*records, frame])[-1]) - covariance(cells(records)[-1])
+    calm = refined(0.1, RECENT)
+    frame = record(RECENT + 0.5, calm[-1].result.T_world_cam @ exp(STEPS[0]), exp(STEPS[0]), float(RECENT))
+    first = covariance(cells([*calm, frame])[-1]) - covariance(cells(calm)[-1])
+    assert last[0, 0] > 9.0 * first[0, 0]  # by 9^1.5 of its own, less what turning the keyframe's adds
