@@ -102,3 +102,18 @@ class Config:
     def window_points(self) -> int:
         """Points of a keyframe in the window."""
         return self.window.points or min(self.selection.points, 96)
+
+
+@dataclass(frozen=True)
+class RealSenseSettings:
+    """What a RealSense camera is asked for; None leaves the camera as it is."""
+
+    width: Count = 640  # px of both images, unless depth has its own
+    height: Count = 480
+    fps: Count = 30
+    depth_width: Count | None = None
+    depth_height: Count | None = None
+    serial: str | None = None  # which of several cameras
+    emitter: bool | None = None  # the infrared pattern
+    exposure: Positive | None = None  # of colour, in the camera's unit (D400: 0.1 ms); ends automatic exposure
+    gain: NonNegative | None = None  # of colour; ends automatic exposure

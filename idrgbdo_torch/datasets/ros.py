@@ -50,6 +50,8 @@ def read(path: Path, options: Options) -> Recording:
     that cannot be read or lacks a topic.
     """
     bag = _Bag(path)
+    beside = path.with_suffix(".toml")  # as `idrgbdo live --record` leaves it
+    options = replace(options, camera=beside) if options.camera is None and beside.is_file() else options
     color, depth, ambiguous = bag.topics(options)
     of_color, of_depth = bag.stamps(color), bag.stamps(depth)
     frames = pair_by_time(of_color, of_depth, options.association_limit_s, path)
@@ -119,17 +121,32 @@ class _Bag:
         Raises IdRgbdoError for a recording that is damaged between the images, or has none.
         """
         found: dict[float, Stamp] = {}
+        clock = self._camera_clock(connection)
         for recorded, data in self._messages(connection):
             try:
                 stamp = self._stamp(self._decode(data, connection))
             except IdRgbdoError:
                 self.damaged += 1
                 continue
-            time = stamp if stamp > 0 else recorded / 1e9
+            time = clock.get(recorded) or (stamp if stamp > 0 else recorded / 1e9)
             found[time] = (stamp, recorded)
         if not found:
             raise IdRgbdoError(f"{self._path}: expected images in '{connection.topic}', got none; name another topic")
         return sorted(found.items())
+
+    def _camera_clock(self, connection: Connection) -> dict[int, float]:
+        """Times by the camera's own clock (s) of images by that of their recording (ns), as pyrealsense2 leaves them.
+
+        Its headers have the times at which the images arrived.
+        """
+        beside = f"{connection.topic.split('/data')[0]}/metadata"
+        times: dict[int, float] = {}
+        for other in self.reader.connections:
+            if other.topic == beside and other.msgtype == "std_msgs/msg/String":
+                for recorded, data in self._messages(other):
+                    said = re.search(rb"\btimestamp=([\d.]+);", data)
+                    times.update({recorded: float(said[1]) * 1e-3} if said else {})
+        return times
 
     def message(self, connection: Connection, which: Stamp) -> Any:
         """The message of that time."""

@@ -35,10 +35,7 @@ class Certainty:
     def cells(self, record: Record) -> list[str]:
         """The cells of COLUMNS, empty where there is no value."""
         result = record.result
-        covariance = self._covariance(record)
-        velocity = self._velocity(record)
-        self._before = record.timestamp, result
-        world = None if covariance is None else in_world(covariance, result.T_world_cam.numpy())
+        world, velocity = self.follow(record)
         measured: list[float] = []
         if result.T_ref_cam is not None:
             measured += result.T_ref_cam[:3, 3].tolist() + quaternion_from_rotation(result.T_ref_cam[:3, :3]).tolist()
@@ -47,6 +44,13 @@ class Certainty:
             *("" if world is None else f"{world[row, column]:.9g}" for row, column in UPPER),
             *([""] * 6 if velocity is None else [f"{number:.9g}" for number in velocity]),
         ]
+
+    def follow(self, record: Record) -> tuple[Array | None, Array | None]:
+        """Covariance (6, 6) in the world, as in_world has it, and velocity (6,) of the next frame; None if unknown."""
+        covariance = self._covariance(record)
+        velocity = self._velocity(record)
+        self._before = record.timestamp, record.result
+        return None if covariance is None else in_world(covariance, record.result.T_world_cam.numpy()), velocity
 
     def _covariance(self, record: Record) -> Array | None:
         """(6, 6) of a left increment [v, w] of T_cam_world; None where that is unknown."""
