@@ -24,7 +24,9 @@ Settings = Annotated[Config, arg(name=""), FlagConversionOff]
 class Input:
     """How the recording is read."""
 
-    format: str | None = None  # tum, icl_nuim, 7scenes, redwood, replica, scannet, ros, folder; else it is recognised
+    format: str | None = (
+        None  # tum, icl_nuim, 7scenes, redwood, replica, scannet, ros, record3d, stray_scanner, folder; else recognised
+    )
     camera: Path | None = (
         None  # TOML with fx, fy, cx, cy, or another program's YAML, JSON; else what the recording says
     )
@@ -62,7 +64,7 @@ def reference_of(path: Path) -> Trajectory:
     from ..datasets import open_sequence
     from ..trajectory import read_tum
 
-    if not path.is_dir() or (path / "groundtruth.txt").exists():
+    if (path.suffix != ".r3d" and not path.is_dir()) or (path / "groundtruth.txt").exists():
         return read_tum(file_in(path, "groundtruth.txt"))
     reference = open_sequence(path).groundtruth
     if reference is None:
