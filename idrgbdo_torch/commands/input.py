@@ -24,9 +24,7 @@ Settings = Annotated[Config, arg(name=""), FlagConversionOff]
 class Input:
     """How the recording is read."""
 
-    format: str | None = (
-        None  # tum, icl_nuim, 7scenes, redwood, replica, scannet, ros, record3d, stray_scanner, folder; else recognised
-    )
+    format: str | None = None  # tum, icl_nuim, 7scenes, redwood, replica, scannet, ros, record3d, stray_scanner, folder
     camera: Path | None = (
         None  # TOML with fx, fy, cx, cy, or another program's YAML, JSON; else what the recording says
     )

@@ -13,7 +13,9 @@ from rendered import Film
 
 rs = pytest.importorskip("pyrealsense2")
 
+from recordings import ROOT  # noqa: E402
 from software_camera import SoftwareCamera, images, intrinsics  # noqa: E402
+from test_readme import blocks  # noqa: E402
 
 import idrgbdo_torch  # noqa: E402
 from idrgbdo_torch import IdRgbdo, open_sequence, run  # noqa: E402
@@ -174,6 +176,20 @@ def test_the_command_tracks_records_and_says_that_the_camera_is_gone(
     assert "warning: sensor: no image comes from the realsense camera any more after 8 frames" in shown.err
     assert cli.main(["run", str(record), "--out", str(again)]) == 0
     assert (again / "trajectory.txt").read_text() == (out / "trajectory.txt").read_text()
+
+
+def test_the_loop_of_the_documentation_runs(
+    film: Film, camera: SoftwareCamera, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (loop,) = blocks(ROOT / "docs" / "live.md", "python")
+    assert len(loop.strip().splitlines()) <= 10
+    monkeypatch.setattr(live, "RealSense", lambda asked, *_: RealSense(SMALL, device=camera.device))
+    thread = camera.play(images(film)[:5])
+    with pytest.raises(IdRgbdoError, match="no image comes from the realsense camera any more after 5 frames"):
+        exec(loop, {})
+    thread.join()
+    shown = capsys.readouterr().out.splitlines()
+    assert len(shown) == 5 and all(" ok " in line and line.endswith("m/s") for line in shown)
 
 
 def ranged(least: float, most: float) -> object:
