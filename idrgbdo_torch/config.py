@@ -105,8 +105,8 @@ class Config:
 
 
 @dataclass(frozen=True)
-class RealSenseSettings:
-    """What a RealSense camera is asked for; None leaves the camera as it is."""
+class CameraSettings:
+    """What a connected camera is asked for; None leaves it as it is. An OAK takes size and rate alone."""
 
     width: Count = 640  # px of both images, unless depth has its own
     height: Count = 480

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from ..config import Config, RealSenseSettings
+from ..config import CameraSettings, Config
 from ..text import configfile
 from ..text.plain import plain
 from .input import Settings
@@ -17,13 +17,13 @@ from .input import Settings
 
 @dataclass(frozen=True)
 class LiveCommand:
-    """Track a camera that is connected: RealSense or Azure Kinect."""
+    """Track a camera that is connected: RealSense, OAK or Azure Kinect."""
 
-    camera: Literal["realsense", "open3d", "azure"] = "realsense"  # open3d: a RealSense by Open3D's library
+    camera: Literal["realsense", "oak", "open3d", "azure"] = "realsense"  # open3d: a RealSense by Open3D's library
     settings: Settings = field(default_factory=Config)
     config: Path | None = None  # TOML; its values are the defaults of the flags
     intrinsics: Path | None = None  # TOML with fx, fy, cx, cy; a RealSense camera knows its own
-    device: Annotated[RealSenseSettings, arg(name="")] = field(default_factory=RealSenseSettings)
+    device: Annotated[CameraSettings, arg(name="")] = field(default_factory=CameraSettings)
     depth_scale: configfile.Positive | None = None  # depth values per metre; else the camera's
     record: Path | None = None  # RealSense only, .db3 (.bag with open3d): everything the camera gives
     max_frames: configfile.Count = 1800  # a minute; Ctrl-C ends it before

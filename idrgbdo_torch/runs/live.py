@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..config import RealSenseSettings
+from ..config import CameraSettings
 from ..datasets.live import LiveSequence, open_camera
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
@@ -18,7 +18,7 @@ from ..odometry import Odometry, Record, Status, TrackResult, run
 from ..tracker.id_rgbdo import IdRgbdo
 from .certainty import Certainty
 
-__all__ = ["LiveResult", "LiveSequence", "RealSenseSettings", "azure", "open_camera", "realsense", "track"]
+__all__ = ["CameraSettings", "LiveResult", "LiveSequence", "azure", "oak", "open_camera", "realsense", "track"]
 
 
 @dataclass(frozen=True)
@@ -60,11 +60,27 @@ def realsense(
     Raises IdRgbdoError where there is no camera, it refuses a setting, or it is unplugged.
     """
     method = IdRgbdo() if odometry is None else odometry  # compiled before the camera runs
-    settings = RealSenseSettings(width, height, fps, serial=serial, emitter=emitter, exposure=exposure, gain=gain)
+    settings = CameraSettings(width, height, fps, serial=serial, emitter=emitter, exposure=exposure, gain=gain)
     yield from track(
         open_camera("realsense", camera=camera, record=record, max_frames=max_frames, settings=settings, device=device),
         method,
     )
+
+
+def oak(
+    *,
+    width: int = 640,
+    height: int = 400,
+    fps: int = 30,
+    camera: Path | None = None,
+    max_frames: int | None = None,
+    odometry: Odometry | None = None,
+    device: Any = None,
+) -> Iterator[LiveResult]:
+    """Track a Luxonis OAK as `realsense` does a RealSense. device: an RGBD node of depthai that is not yet started."""
+    method = IdRgbdo() if odometry is None else odometry
+    settings = CameraSettings(width, height, fps)
+    yield from track(open_camera("oak", camera=camera, max_frames=max_frames, settings=settings, device=device), method)
 
 
 def azure(*, camera: Path, max_frames: int | None = None, odometry: Odometry | None = None) -> Iterator[LiveResult]:

@@ -20,7 +20,7 @@ from test_readme import blocks  # noqa: E402
 import idrgbdo_torch  # noqa: E402
 from idrgbdo_torch import IdRgbdo, open_sequence, run  # noqa: E402
 from idrgbdo_torch.commands import cli  # noqa: E402
-from idrgbdo_torch.config import RealSenseSettings  # noqa: E402
+from idrgbdo_torch.config import CameraSettings  # noqa: E402
 from idrgbdo_torch.datasets import live  # noqa: E402
 from idrgbdo_torch.datasets.live import RealSense, open_camera, realsense  # noqa: E402
 from idrgbdo_torch.datasets.live.lens import calibration_of_profile  # noqa: E402
@@ -30,7 +30,7 @@ from idrgbdo_torch.runs.live import LiveResult  # noqa: E402
 
 SIZE = (320, 240)
 PINHOLE = (262.5, 262.5, 159.5, 119.5)
-SMALL = RealSenseSettings(*SIZE)
+SMALL = CameraSettings(*SIZE)
 START_S = 100.0
 
 
@@ -136,7 +136,7 @@ def test_depth_of_another_size_beside_colour_is_registered_as_in_a_folder(
     shots = [(color, np.ascontiguousarray(depth[::2, ::2])) for color, depth in images(film)[:10]]
     record = tmp_path / "take.db3"
     thread = camera.play(shots, fps=15)
-    settings = RealSenseSettings(*SIZE, depth_width=small[0], depth_height=small[1])
+    settings = CameraSettings(*SIZE, depth_width=small[0], depth_height=small[1])
     sequence = open_camera("realsense", settings=settings, device=camera.device, record=record, max_frames=10)
     live = run(IdRgbdo(), sequence)
     thread.join()
@@ -206,7 +206,7 @@ def test_settings_reach_the_camera(film: Film, camera: SoftwareCamera) -> None:
     ):
         sensor.add_option(option, ranged(least, most), True)
     camera.color.set_option(rs.option.enable_auto_exposure, 1.0)
-    settings = RealSenseSettings(*SIZE, emitter=True, exposure=80)
+    settings = CameraSettings(*SIZE, emitter=True, exposure=80)
     thread = camera.play(images(film)[:4], fps=60)
     list(open_camera("realsense", settings=settings, device=camera.device, max_frames=2))
     thread.join()
@@ -214,9 +214,9 @@ def test_settings_reach_the_camera(film: Film, camera: SoftwareCamera) -> None:
     assert camera.color.get_option(rs.option.exposure) == 80.0
     assert camera.color.get_option(rs.option.enable_auto_exposure) == 0.0
     for wrong, said in (
-        (RealSenseSettings(*SIZE, exposure=20000), "exposure: expected 1 to 10000 for this camera, got 20000"),
-        (RealSenseSettings(*SIZE, gain=16), "gain: expected a camera that has this setting"),
-        (RealSenseSettings(1280, 720), "the RealSense camera failed: .*resolve"),
+        (CameraSettings(*SIZE, exposure=20000), "exposure: expected 1 to 10000 for this camera, got 20000"),
+        (CameraSettings(*SIZE, gain=16), "gain: expected a camera that has this setting"),
+        (CameraSettings(1280, 720), "the RealSense camera failed: .*resolve"),
     ):
         with pytest.raises(IdRgbdoError, match=said):
             open_camera("realsense", settings=wrong, device=camera.device, max_frames=2)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ...config import RealSenseSettings
+from ...config import CameraSettings
 from ...errors import IdRgbdoError
 from ..calibration import Calibration, DepthCamera, find_calibration
 from .lens import calibration_of_profile
@@ -29,7 +29,7 @@ class RealSense:
 
     def __init__(
         self,
-        settings: RealSenseSettings | None = None,
+        settings: CameraSettings | None = None,
         camera: Path | None = None,
         record: Path | None = None,
         device: Any = None,
@@ -41,7 +41,7 @@ class RealSense:
         Raises IdRgbdoError without the library or a camera, or for settings that the camera refuses.
         """
         self._rs = rs = _library()
-        self._settings = s = settings or RealSenseSettings()
+        self._settings = s = settings or CameraSettings()
         self.dropped = 0
         self._last: int | None = None  # number of the last colour image that was given
         self._queue = rs.frame_queue(QUEUE, True)
