@@ -175,6 +175,21 @@ def test_a_camera_that_pauses_goes_on_and_one_that_is_gone_ends(o3d: ModuleType,
     assert sensor.calls[-1] == "stop"
 
 
+def test_an_error_of_the_camera_ends_the_frames_and_says_why(o3d: ModuleType, film: Film) -> None:
+    sensor = StandInRealSense(o3d, film, tensor_images(o3d, film))
+    sequence = LiveSequence(Open3dRealSense(sensor=sensor), max_frames=20)
+    frames = iter(sequence)
+    assert next(frames) and sequence.ended == ""
+
+    def fail(wait: bool = True, align_depth_to_color: bool = True) -> None:
+        raise RuntimeError("No device connected")
+
+    sensor.capture_frame = fail  # type: ignore[method-assign]
+    assert list(frames) == []
+    assert "the RealSense camera failed: No device connected" in sequence.ended
+    assert sensor.calls[-1] == "stop"
+
+
 def test_max_frames_and_the_end_of_looking_stop_the_camera(o3d: ModuleType, film: Film) -> None:
     sensor = StandInRealSense(o3d, film, tensor_images(o3d, film))
     assert len(list(LiveSequence(Open3dRealSense(sensor=sensor), max_frames=5))) == 5

@@ -54,8 +54,8 @@ def folder(film: Film, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def camera(monkeypatch: pytest.MonkeyPatch) -> SoftwareCamera:
-    """Gone after a second instead of three, to save time."""
-    monkeypatch.setattr(realsense, "WAIT_S", 0.35)
+    """Gone after 1.5 seconds instead of three, to save time."""
+    monkeypatch.setattr(realsense, "WAIT_S", 0.5)
     return SoftwareCamera(intrinsics(SIZE, PINHOLE))
 
 
@@ -119,6 +119,16 @@ def test_max_frames_ends_quietly_and_the_camera_can_be_opened_again(film: Film, 
         sequence = open_camera("realsense", settings=SMALL, device=camera.device, max_frames=3)
         assert len(list(sequence)) == 3 and sequence.ended == ""
         thread.join()
+
+
+def test_leaving_the_loop_stops_the_camera(film: Film, camera: SoftwareCamera) -> None:
+    thread = camera.play(images(film)[:4], fps=60)
+    for result in idrgbdo_torch.live.realsense(width=SIZE[0], height=SIZE[1], device=camera.device):
+        assert result.status is Status.OK
+        assert camera.color.get_active_streams()
+        break
+    thread.join()
+    assert not camera.color.get_active_streams()
 
 
 def test_no_image_at_all_is_one_sentence(camera: SoftwareCamera) -> None:

@@ -98,9 +98,7 @@ class LiveSequence:
                 timestamp, images = shot
                 self.timestamps.append(timestamp)
                 yield self._builder.frame_or_reason(timestamp, images)
-                shot = self._capture() if self._more() else None
-            if shot is None and self._more():
-                self.ended = self._why()
+                shot = self._next() if self._more() else None
         finally:
             self._sensor.stop()
 
@@ -116,6 +114,17 @@ class LiveSequence:
 
     def _more(self) -> bool:
         return self._max_frames is None or len(self.timestamps) < self._max_frames
+
+    def _next(self) -> Shot | None:
+        """The next image; None where there is none, and `ended` says why: what came before is not lost by an error."""
+        try:
+            shot = self._capture()
+        except IdRgbdoError as error:
+            self.ended = str(error)
+            return None
+        if shot is None:
+            self.ended = self._why()
+        return shot
 
     def _capture(self) -> Shot | None:
         """The next image whose time is new; None where the camera is silent or gives the same one again."""
