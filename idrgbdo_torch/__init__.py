@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .evaluation import evaluate
     from .frame import BrokenFrame, RgbdFrame
     from .odometry import Align, Alignment, FrameToFrame, Odometry, Run, Status, TrackResult, run
+    from .runs import live
     from .tracker.id_rgbdo import IdRgbdo
     from .trajectory import Trajectory, read_tum, write_tum
 
@@ -61,6 +62,7 @@ _HOMES = {
     "information_from_rows": "definitions.information",
     "linearise_pairs": "definitions.linearise",
     "linearize": "definitions.photometric",
+    "live": "runs.live",  # the module itself
     "mutual_information_bits": "definitions.information",
     "open_sequence": "datasets",
     "pick_points": "definitions.points",
@@ -103,6 +105,7 @@ __all__ = [
     "information_from_rows",
     "linearise_pairs",
     "linearize",
+    "live",
     "mutual_information_bits",
     "open_sequence",
     "pick_points",
@@ -119,7 +122,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f".{_HOMES[name]}", __name__), name)
+    home = import_module(f".{_HOMES[name]}", __name__)
+    return getattr(home, name, home)
 
 
 def __dir__() -> list[str]:

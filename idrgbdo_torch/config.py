@@ -113,3 +113,18 @@ def settings_file(name: Path) -> Path:
     here = Path(__file__).resolve().parent
     installed, cloned = (folder / "configs" / f"{name}.toml" for folder in (here, here.parent))
     return installed if installed.exists() else cloned
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """What a connected camera is asked for; None leaves it as it is. An OAK takes size and rate alone."""
+
+    width: Count = 640  # px of both images, unless depth has its own
+    height: Count = 480
+    fps: Count = 30
+    depth_width: Count | None = None
+    depth_height: Count | None = None
+    serial: str | None = None  # which of several cameras
+    emitter: bool | None = None  # the infrared pattern
+    exposure: Positive | None = None  # of colour, in the camera's unit (D400: 0.1 ms); ends automatic exposure
+    gain: NonNegative | None = None  # of colour; ends automatic exposure

@@ -26,7 +26,7 @@ class Input:
 
     camera: Path | None = None  # TOML with fx, fy, cx, cy, or another program's YAML or JSON; else the recording's own
     depth_scale: Positive | None = None  # depth values per metre; else the camera file's or the format's
-    format: str | None = None  # tum, icl_nuim, 7scenes, redwood, replica, scannet, ros, folder; else it is recognised
+    format: str | None = None  # tum, icl_nuim, 7scenes, redwood, replica, scannet, ros, record3d, stray_scanner, folder
     max_frames: Count | None = None  # stop after so many
     every: Count = 1  # take every n-th frame
     start: Index = 0  # frames left out at the beginning
@@ -60,7 +60,7 @@ def reference_of(path: Path) -> Trajectory:
     from ..datasets import open_sequence
     from ..trajectory import read_tum
 
-    if not path.is_dir() or (path / "groundtruth.txt").exists():
+    if (path.suffix != ".r3d" and not path.is_dir()) or (path / "groundtruth.txt").exists():
         return read_tum(file_in(path, "groundtruth.txt"))
     reference = open_sequence(path).groundtruth
     if reference is None:

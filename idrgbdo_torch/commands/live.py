@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from ..config import Config
+from ..config import CameraSettings, Config
 from ..text import configfile
 from ..text.plain import plain
 from .input import Settings
@@ -17,16 +18,17 @@ from .output import Output
 
 @dataclass(frozen=True)
 class LiveCommand:
-    """Track a camera that is connected: RealSense or Azure Kinect."""
+    """Track a camera that is connected: RealSense, OAK or Azure Kinect."""
 
-    sensor: Literal["realsense", "azure"] = "realsense"
+    camera: Literal["realsense", "oak", "open3d", "azure"] = "realsense"  # open3d: a RealSense by Open3D's library
     settings: Settings = field(default_factory=Config)
     config: Path | None = None  # TOML; its values are the defaults of the flags
-    camera: Path | None = None  # TOML with fx, fy, cx, cy; a RealSense camera knows its own
+    intrinsics: Path | None = None  # TOML with fx, fy, cx, cy; a RealSense camera knows its own
+    device: Annotated[CameraSettings, arg(name="")] = field(default_factory=CameraSettings)
     depth_scale: configfile.Positive | None = None  # depth values per metre; else the camera's
-    record: Path | None = None  # .bag; RealSense only: everything the camera gives
+    record: Path | None = None  # RealSense only, .db3 (.bag with open3d): everything the camera gives
     max_frames: configfile.Count = 1800  # a minute; Ctrl-C ends it before
-    out: Path | None = None  # folder for the results; else runs/<sensor>/<time>
+    out: Path | None = None  # folder for the results; else runs/<camera>/<time>
     viewer: bool = False  # watch it in Rerun, pip install "idrgbdo_torch[viewer]"
     save_rrd: Path | None = None  # the same into a file, for machines without a display
     output: Annotated[Output, arg(name="")] = field(default_factory=Output)
@@ -37,16 +39,23 @@ def live(command: LiveCommand) -> int:
     from ..datasets.live import open_camera
     from ..report.viewer import open_viewer
     from .observers import Viewing
-    from .track import Job, track
+    from .track import Job, make_odometry, track
 
+    make_odometry(command.settings)  # compiles the kernels before the camera runs, not while it waits
     sequence = open_camera(
-        command.sensor,
-        camera=command.camera,
+        command.camera,
+        camera=command.intrinsics,
         record=command.record,
         depth_scale=command.depth_scale,
         max_frames=command.max_frames,
+        settings=command.device,
     )
     print("reading", plain(sequence.recognised), flush=True)
     with open_viewer(sequence.name, command.viewer, command.save_rrd) as viewer:
         observers = [Viewing(viewer)] if viewer else []
-        return track(Job(sequence, sequence.name, command.settings), command.out, observers)
+        status = track(Job(sequence, sequence.name, command.settings), command.out, observers)
+    if sequence.ended:
+        print("warning:", plain(sequence.ended), file=sys.stderr)
+    if sequence.dropped is not None:
+        print(f"{sequence.dropped} of {sequence.dropped + len(sequence.timestamps)} images were dropped")
+    return status

@@ -115,7 +115,7 @@ class Follower:
 
     def on_info(self, message: Any) -> None:
         """sensor_msgs/CameraInfo of the colour camera; the first counts."""
-        from ..datasets.ros import calibration_of_info
+        from ..datasets.ros_camera import calibration_of_info
 
         if self._calibration is None:
             self._calibration = calibration_of_info(message, "rect" in self._command.color, self._command.info)

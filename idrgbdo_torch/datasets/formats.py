@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..errors import IdRgbdoError
 from ..text.files import unreadable
-from . import folder, icl_nuim, redwood, replica, ros, scannet, seven_scenes, tum
+from . import folder, icl_nuim, record3d, redwood, replica, ros, scannet, seven_scenes, stray_scanner, tum
 from .calibration import EXAMPLE
 from .recording import Options, Recording
 
@@ -22,11 +22,14 @@ class Format:
     recognise: Callable[[Path], bool]
     read: Callable[[Path, Options], Recording]
     sign: str  # what it is recognised by
+    files: bool = False  # a recording may be one file
 
 
 # in the order in which they are tried: the peculiar ones first
 FORMATS = {
-    "ros": Format(ros.recognise, ros.read, "a .bag, .mcap or .db3 file, or a folder with metadata.yaml"),
+    "ros": Format(ros.recognise, ros.read, "a .bag, .mcap or .db3 file, or a folder with metadata.yaml", files=True),
+    "record3d": Format(record3d.recognise, record3d.read, "an .r3d file, or metadata beside rgbd/ or rgb/", files=True),
+    "stray_scanner": Format(stray_scanner.recognise, stray_scanner.read, "rgb.mp4 and camera_matrix.csv"),
     "icl_nuim": Format(
         icl_nuim.recognise,
         icl_nuim.read,
@@ -56,7 +59,7 @@ def read_recording(path: Path, options: Options, name: str | None = None) -> Rec
         raise IdRgbdoError(f"sequence: expected a folder at '{path}', found a pipe or a device; check the path")
     if name is None:
         name = "tum" if options.associations is not None else guess(path)
-    if name != "ros" and not path.is_dir():
+    if not FORMATS[name].files and not path.is_dir():
         raise IdRgbdoError(f"sequence: expected a folder at '{path}', found a file; check the path")
     try:
         return FORMATS[name].read(path, options)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import islice
@@ -19,9 +19,10 @@ from ..text.files import is_named
 from ..text.plain import shown
 from .bag_files import check_files, damage, repair
 from .builder import RawPair
-from .calibration import Calibration, believed, find_calibration
+from .calibration import Calibration, find_calibration
 from .pairing import pair_by_time, unpaired_warning
 from .recording import Options, Recording
+from .ros_camera import calibration_of_info
 from .ros_images import DEPTH_HEADER, color_image, depth_image
 from .ros_topics import Topic, choose_topics
 from .usual import LOOK_AT
@@ -52,6 +53,8 @@ def read(path: Path, options: Options) -> Recording:
     that cannot be read or lacks a topic.
     """
     bag = _Bag(path)
+    beside = path.with_suffix(".toml")  # as `idrgbdo live --record` leaves it
+    options = replace(options, camera=beside) if options.camera is None and beside.is_file() else options
     color, depth, ambiguous = bag.topics(options)
     of_color, of_depth = bag.stamps(color), bag.stamps(depth)
     frames = pair_by_time(of_color, of_depth, options.association_limit_s, path)
@@ -126,18 +129,33 @@ class _Bag:
         """
         found: dict[float, Stamp] = {}
         self._unreadable = 0
+        clock = self._camera_clock(connection)
         for recorded, data in self._messages(connection):
             try:
                 stamp = self._stamp(self._decode(data, connection))
             except IdRgbdoError:
                 self.damaged += 1
                 continue
-            time = stamp if stamp > 0 else recorded / 1e9
+            time = clock.get(recorded) or (stamp if stamp > 0 else recorded / 1e9)
             found[time] = (stamp, recorded)
         self.damaged += self._unreadable
         if not found:
             raise IdRgbdoError(f"{self._path}: expected images in '{connection.topic}', got none; name another topic")
         return sorted(found.items())
+
+    def _camera_clock(self, connection: Connection) -> dict[int, float]:
+        """Times by the camera's own clock (s) of images by that of their recording (ns), as pyrealsense2 leaves them.
+
+        Its headers have the times at which the images arrived.
+        """
+        beside = f"{connection.topic.split('/data')[0]}/metadata"
+        times: dict[int, float] = {}
+        for other in self.reader.connections:
+            if other.topic == beside and other.msgtype == "std_msgs/msg/String":
+                for recorded, data in self._messages(other):
+                    said = re.search(rb"\btimestamp=([\d.]+);", data)
+                    times.update({recorded: float(said[1]) * 1e-3} if said else {})
+        return times
 
     def message(self, connection: Connection, which: Stamp) -> Any:
         """The message of that time."""
@@ -262,27 +280,3 @@ def _damage_named(where: str, advice: str = "repair or record it again") -> Iter
     except damage() as error:
         said = shown(" ".join(str(error).split()) or type(error).__name__, quoted=False)
         raise IdRgbdoError(f"{where}: the recording is damaged ({said}); {advice}") from error
-
-
-def calibration_of_info(info: Any, rectified: bool, where: str) -> Calibration:
-    """Intrinsics of a CameraInfo, whose fields ROS 1 writes in capitals and ROS 2 does not."""
-    K, D, P = (_field(info, name) for name in "KDP")
-    if rectified:
-        camera = Calibration(P[0], P[5], P[2], P[6])
-    else:
-        if any(D[8:]) or (any(D) and info.distortion_model not in ("plumb_bob", "rational_polynomial")):
-            raise IdRgbdoError(
-                f"{where}: expected the distortion model plumb_bob or rational_polynomial of up to 8 coefficients, "
-                f"got {info.distortion_model} of {len(D)}; use rectified images, or pass --camera F.toml with k1, k2, "
-                "p1, p2, k3, k4, k5, k6"
-            )
-        k1, k2, p1, p2, k3, k4, k5, k6 = [*D, *[0.0] * 8][:8]
-        camera = Calibration(K[0], K[4], K[2], K[5], k1, k2, p1, p2, k3, k4, k5, k6)
-    if not (camera.fx > 0 and camera.fy > 0):
-        raise IdRgbdoError(f"{where}: expected a calibrated camera, got fx={camera.fx:g}; pass --camera F.toml")
-    return believed(replace(camera, width=info.width or None, height=info.height or None), where)
-
-
-def _field(info: Any, name: str) -> Sequence[float]:
-    values = getattr(info, name) if hasattr(info, name) else getattr(info, name.lower())
-    return [float(value) for value in np.asarray(values).ravel()]

@@ -372,10 +372,13 @@ def test_a_format_may_be_named(film: Film, tmp_path: Path) -> None:
     assert sequence.recognised.startswith("folder of images, color/ and depth/")
     with pytest.raises(IdRgbdoError, match="no format 'redwod'; did you mean 'redwood'"):
         open_sequence(tmp_path / "r", format="redwod")
-    assert set(FORMATS) == {"ros", "icl_nuim", "tum", "7scenes", "scannet", "replica", "redwood", "folder"}
+    folders = {"icl_nuim", "tum", "7scenes", "scannet", "replica", "redwood", "folder"}
+    assert set(FORMATS) == {"ros", "record3d", "stray_scanner", *folders}
 
 
-@pytest.mark.parametrize("name", ["7scenes", "redwood", "replica", "scannet", "folder", "tum", "icl_nuim"])
+@pytest.mark.parametrize(
+    "name", ["7scenes", "redwood", "replica", "scannet", "folder", "tum", "icl_nuim", "record3d", "stray_scanner"]
+)
 def test_a_named_format_that_is_not_there_is_one_line(name: str, tmp_path: Path) -> None:
     with pytest.raises(IdRgbdoError) as caught:
         open_sequence(tmp_path, format=name)

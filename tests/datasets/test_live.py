@@ -18,7 +18,7 @@ from rendered import Film
 from idrgbdo_torch import IdRgbdo
 from idrgbdo_torch.commands import cli
 from idrgbdo_torch.datasets import live, open_sequence
-from idrgbdo_torch.datasets.live import AzureKinect, LiveSequence, RealSense, open_camera
+from idrgbdo_torch.datasets.live import AzureKinect, LiveSequence, Open3dRealSense, open3d_sensors, open_camera
 from idrgbdo_torch.datasets.realsense import RealSenseRecording, is_realsense
 from idrgbdo_torch.datasets.recording import Options
 from idrgbdo_torch.errors import IdRgbdoError
@@ -154,7 +154,7 @@ def test_the_stand_ins_have_open3ds_interface(o3d: ModuleType) -> None:
 
 def test_a_realsense_camera_is_tracked(o3d: ModuleType, film: Film, tmp_path: Path) -> None:
     sensor = StandInRealSense(o3d, film, tensor_images(o3d, film))
-    sequence = LiveSequence(RealSense(record=tmp_path / "all.bag", sensor=sensor), max_frames=20)
+    sequence = LiveSequence(Open3dRealSense(record=tmp_path / "all.bag", sensor=sensor), max_frames=20)
     assert sequence.camera == film.frames[0].camera
     assert sequence.warnings == []
     done = run(IdRgbdo(), sequence)
@@ -170,17 +170,32 @@ def test_a_realsense_camera_is_tracked(o3d: ModuleType, film: Film, tmp_path: Pa
 def test_a_camera_that_pauses_goes_on_and_one_that_is_gone_ends(o3d: ModuleType, film: Film) -> None:
     images = tensor_images(o3d, film)
     sensor = StandInRealSense(o3d, film, [*images[:4], None, None, *images[4:8], None, None, None, *images[8:]])
-    frames = list(LiveSequence(RealSense(sensor=sensor), max_frames=20))
+    frames = list(LiveSequence(Open3dRealSense(sensor=sensor), max_frames=20))
     assert len(frames) == 8
+    assert sensor.calls[-1] == "stop"
+
+
+def test_an_error_of_the_camera_ends_the_frames_and_says_why(o3d: ModuleType, film: Film) -> None:
+    sensor = StandInRealSense(o3d, film, tensor_images(o3d, film))
+    sequence = LiveSequence(Open3dRealSense(sensor=sensor), max_frames=20)
+    frames = iter(sequence)
+    assert next(frames) and sequence.ended == ""
+
+    def fail(wait: bool = True, align_depth_to_color: bool = True) -> None:
+        raise RuntimeError("No device connected")
+
+    sensor.capture_frame = fail  # type: ignore[method-assign]
+    assert list(frames) == []
+    assert "the RealSense camera failed: No device connected" in sequence.ended
     assert sensor.calls[-1] == "stop"
 
 
 def test_max_frames_and_the_end_of_looking_stop_the_camera(o3d: ModuleType, film: Film) -> None:
     sensor = StandInRealSense(o3d, film, tensor_images(o3d, film))
-    assert len(list(LiveSequence(RealSense(sensor=sensor), max_frames=5))) == 5
+    assert len(list(LiveSequence(Open3dRealSense(sensor=sensor), max_frames=5))) == 5
     assert sensor.calls[-1] == "stop"
     sensor = StandInRealSense(o3d, film, tensor_images(o3d, film))
-    frames = iter(LiveSequence(RealSense(sensor=sensor), max_frames=5))
+    frames = iter(LiveSequence(Open3dRealSense(sensor=sensor), max_frames=5))
     next(frames)
     frames.close()  # type: ignore[attr-defined]
     assert sensor.calls[-1] == "stop"
@@ -188,14 +203,14 @@ def test_max_frames_and_the_end_of_looking_stop_the_camera(o3d: ModuleType, film
 
 def test_no_camera_is_one_line(o3d: ModuleType, film: Film, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(IdRgbdoError, match="expected a RealSense camera, found none"):
-        RealSense(sensor=StandInRealSense(o3d, film, [], devices=0))
+        Open3dRealSense(sensor=StandInRealSense(o3d, film, [], devices=0))
     silent = StandInRealSense(o3d, film, [])
     with pytest.raises(IdRgbdoError, match="no image came from the realsense camera"):
-        LiveSequence(RealSense(sensor=silent), max_frames=5)
+        LiveSequence(Open3dRealSense(sensor=silent), max_frames=5)
     assert silent.calls[-1] == "stop"
     if not o3d.t.io.RealSenseSensor.enumerate_devices():
         capsys.readouterr()
-        assert cli.main(["live"]) == 1
+        assert cli.main(["live", "--camera", "open3d"]) == 1
         assert capsys.readouterr().err.startswith("error: sensor: expected a RealSense camera, found none; ")
 
 
@@ -207,7 +222,7 @@ def test_what_open3d_raises_is_one_plain_line(o3d: ModuleType, film: Film) -> No
 
     sensor.start_capture = fail  # type: ignore[method-assign]
     with pytest.raises(IdRgbdoError) as caught:
-        RealSense(sensor=sensor)
+        Open3dRealSense(sensor=sensor)
     assert str(caught.value) == (
         "sensor: the RealSense camera failed: [Open3D Error] StartCapture() failed: busy; "
         "try it with its maker's viewer"
@@ -230,7 +245,7 @@ def test_an_azure_kinect_is_tracked(
     o3d: ModuleType, film: Film, camera_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ticks = count(START * 30)
-    monkeypatch.setattr(live.time, "time", lambda: next(ticks) / 30)  # as slowly as a camera gives its images
+    monkeypatch.setattr(open3d_sensors.time, "time", lambda: next(ticks) / 30)  # as slowly as a camera gives its images
     sensor = StandInKinect(legacy_images(o3d, film))
     sequence = LiveSequence(AzureKinect(camera_file, sensor), max_frames=50)
     assert sensor.connected
@@ -244,14 +259,14 @@ def test_an_azure_kinect_is_tracked(
 def test_an_azure_kinect_that_is_not_there(camera_file: Path, tmp_path: Path) -> None:
     with pytest.raises(IdRgbdoError, match="expected an Azure Kinect, found none"):
         AzureKinect(camera_file, StandInKinect([], there=False))
-    with pytest.raises(IdRgbdoError, match=r"pass --camera F\.toml"):
+    with pytest.raises(IdRgbdoError, match=r"pass --intrinsics F\.toml"):
         open_camera("azure", max_frames=5)
     with pytest.raises(IdRgbdoError, match="only a RealSense camera records"):
         open_camera("azure", camera=camera_file, record=tmp_path / "a.bag", max_frames=5)
 
 
 def test_an_azure_kinect_without_its_library_is_one_line(camera_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live, "K4A", {})
+    monkeypatch.setattr(open3d_sensors, "K4A", {})
     with pytest.raises(IdRgbdoError, match=r"needs Microsoft's Sensor SDK 1\.4"):
         AzureKinect(camera_file)
 
@@ -264,8 +279,9 @@ def test_the_command_tracks_a_camera(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     sensor = StandInRealSense(o3d, film, tensor_images(o3d, film))
-    monkeypatch.setattr(live, "RealSense", lambda camera, record: RealSense(camera, record, sensor))
-    assert cli.main(["live", "--out", str(tmp_path / "run"), "--max-frames", "6", "--selection.points", "40"]) == 0
+    monkeypatch.setattr(live, "Open3dRealSense", lambda camera, record: Open3dRealSense(camera, record, sensor))
+    command = ["live", "--camera", "open3d", "--out", str(tmp_path / "run"), "--max-frames", "6"]
+    assert cli.main([*command, "--selection.points", "40"]) == 0
     shown = capsys.readouterr().out
     assert "reading realsense camera: 320x240, at most 6 frames" in shown
     assert (tmp_path / "run" / "trajectory.txt").read_text().count("\n") == 7
