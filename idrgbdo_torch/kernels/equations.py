@@ -12,7 +12,7 @@ import numpy as np
 
 from ..measurement import OTHER_SURFACE, STEP, Array
 from . import patch as at
-from .compiled import kernel
+from .compiled import exact_kernel
 from .image import sample_inverse_depth
 from .patch import LANES
 
@@ -33,13 +33,13 @@ class Equations(NamedTuple):
     system: Array  # (SYSTEM_ROWS,) of H the upper half
 
 
-@kernel
+@exact_kernel
 def new_equations():
     """None so far."""
     return Equations(np.zeros(JACOBIAN_ROWS), np.zeros(SYSTEM_ROWS))
 
 
-@kernel
+@exact_kernel
 def pose_jacobians(camera, room, jacobians):
     """Fill duv/d[v, w] of a left increment, where the points are in the target."""
     fx, fy = camera[0], camera[1]
@@ -58,7 +58,7 @@ def pose_jacobians(camera, room, jacobians):
         jacobians[JV + 5 * LANES + n] = fy * x
 
 
-@kernel
+@exact_kernel
 def add_patches(room, equations):
     """Add the sums of patches; those of lanes that do not count must be 0."""
     rows, lanes = room.points, room.lanes
@@ -89,7 +89,7 @@ def add_patches(room, equations):
                 system[of_h + n] += jacobians[ju + n] * jacobians[gu + n] + jacobians[jv + n] * jacobians[gv + n]
 
 
-@kernel
+@exact_kernel
 def measure_depths(depth, camera, size, room, noise, jacobians):
     """Fill the depth residuals of the points seen, their gradients and weights (0 where there is none); the energy.
 
@@ -127,7 +127,7 @@ def measure_depths(depth, camera, size, room, noise, jacobians):
     return energy
 
 
-@kernel
+@exact_kernel
 def add_depths(room, equations):
     """Add the depth residuals; with the pose, P_z moves by v_z + (y w_x - x w_y) / rho."""
     rows, lanes = room.points, room.lanes
@@ -151,7 +151,7 @@ def add_depths(room, equations):
                 system[of_h + n] += jacobians[WZ + n] * jacobians[jz + n] * jacobians[kz + n]
 
 
-@kernel
+@exact_kernel
 def depth_equations(T, room, jacobians, use_depth):
     """Fill what the inverse depths themselves get from patches and depths: CROSS, HD, BD.
 
@@ -183,7 +183,7 @@ def depth_equations(T, room, jacobians, use_depth):
             jacobians[cross + n] += jacobians[WZ + n] * jacobians[jz + n]
 
 
-@kernel
+@exact_kernel
 def add_up(system, H, b):
     """The sum over lanes: H (8, 8), both halves, and b (8,)."""
     for i in range(STEP):

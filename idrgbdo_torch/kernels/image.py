@@ -6,10 +6,10 @@ from math import floor
 
 import numpy as np
 
-from .compiled import kernel
+from .compiled import exact_kernel
 
 
-@kernel
+@exact_kernel
 def sample(image, u, v):
     """Bilinear value and central-difference gradient, (valid, value, g_u, g_v), at pixel (u, v)."""
     height, width = image.shape
@@ -33,7 +33,7 @@ def sample(image, u, v):
     return True, value, g_u, g_v
 
 
-@kernel
+@exact_kernel
 def interpolate(around, fu, fv):
     """Bilinear value and gradient from twelve pixels: the four of the cell, then two left, right, above and below it.
 
@@ -52,7 +52,7 @@ def interpolate(around, fu, fv):
     return value, g_u, g_v
 
 
-@kernel
+@exact_kernel
 def sample_inverse_depth(depth, u, v, agreement):
     """Bilinear inverse depth and its gradient, (valid, d, g_u, g_v); valid where the four neighbours agree."""
     height, width = depth.shape

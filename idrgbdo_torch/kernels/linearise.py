@@ -5,12 +5,12 @@ from __future__ import annotations
 from math import exp, sqrt
 
 from . import patch as at
-from .compiled import kernel
+from .compiled import exact_kernel
 from .equations import add_depths, add_patches, add_up, measure_depths, new_equations, pose_jacobians
 from .patch import LANES, Brightness, forget_unseen, lanes_for, new_room, patch_sums
 
 
-@kernel
+@exact_kernel
 def linearise(view, level, points, subset, state, scale, limit, noise, system):
     """Normal equations of one level at one pose.
 
@@ -56,7 +56,7 @@ def linearise(view, level, points, subset, state, scale, limit, noise, system):
     return energy, seen, kept
 
 
-@kernel
+@exact_kernel
 def host_rows(points, index, first, level, room):
     """Fill what a keyframe's points, some of index from first, say of themselves on a level."""
     rows, pixels = room.points, room.pixels

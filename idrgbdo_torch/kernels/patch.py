@@ -4,6 +4,9 @@ The hot loop of tracking and of the window. Points come LANES at a time; everyth
 a row of LANES numbers for each quantity, so that every step is a loop over lanes that the processor does all at once.
 (The compiler proves that only for rows of one array at fixed distances.) Lanes without a point, and points that cannot
 be seen, are computed along and not looked at.
+
+Kernels of lanes are exact: the compiler may take lanes at once or one by one, by where arrays happen to lie, and only
+operations that round as written give the same bits both ways.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..measurement import PATTERN_U, PATTERN_V, PIXELS, Array
-from .compiled import kernel
+from .compiled import exact_kernel
 from .image import interpolate
 from .photometric import along_depth, distortion, distortion_weight, moved, photometric_variance
 
@@ -55,7 +58,7 @@ class Brightness(NamedTuple):
     weight: float  # of every squared residual: 1 over the squared robust scale
 
 
-@kernel
+@exact_kernel
 def new_room(count):
     """Room for LANES points, of which so many pixels take part."""
     return Room(
@@ -63,13 +66,13 @@ def new_room(count):
     )
 
 
-@kernel
+@exact_kernel
 def lanes_for(room, points):
     """The same room with lanes enough for so many points, or all that it has."""
     return Room(room.points, room.pixels, room.places, min(LANES, (points + 3) // 4 * 4), room.used)
 
 
-@kernel
+@exact_kernel
 def patch_sums(image, camera, T, bright, noise, room):
     """Fill all rows that the caller has not: what LANES points of a host tell about a target.
 
@@ -83,7 +86,7 @@ def patch_sums(image, camera, T, bright, noise, room):
         add_pixel(k, bright, noise, room)
 
 
-@kernel
+@exact_kernel
 def place(camera, T, noise, points, lanes):
     """Where the points are in the target, and how their surroundings are distorted there."""
     fx, fy, cx, cy = camera
@@ -108,7 +111,7 @@ def place(camera, T, noise, points, lanes):
         points[WEIGHT + n] = 1.0 / distortion_weight(points[AREA + n], noise.c_h) if seen else 0.0
 
 
-@kernel
+@exact_kernel
 def place_again(camera, T, points, lanes):
     """Move the points, for Jacobians taken at another pose; where they are seen stays."""
     fx, fy, cx, cy = camera
@@ -123,7 +126,7 @@ def place_again(camera, T, points, lanes):
         points[DU + n], points[DV + n] = along_depth(T, x, y, iz, fx, fy)
 
 
-@kernel
+@exact_kernel
 def project(image, camera, T, room):
     """Where the pixels fall; a point is seen where all of them can be sampled."""
     points, places, lanes = room.points, room.places, room.lanes
@@ -148,7 +151,7 @@ def project(image, camera, T, room):
             points[SEEN + n] = points[SEEN + n] if inside else 0.0
 
 
-@kernel
+@exact_kernel
 def gather(image, room):
     """Copy the target around each pixel; what is left of the places is the fractions."""
     points, pixels, places, lanes = room.points, room.pixels, room.places, room.lanes
@@ -177,7 +180,7 @@ def gather(image, room):
             pixels[to + 11 * LANES] = image[iv + two, iu + one]
 
 
-@kernel
+@exact_kernel
 def add_pixel(k, bright, noise, room):
     """Add pixel k to the sums.
 
@@ -232,7 +235,7 @@ def add_pixel(k, bright, noise, room):
         points[C3 + n] += w * r
 
 
-@kernel
+@exact_kernel
 def forget_unseen(room):
     """Lanes that are not seen (any more) get sums of 0 and a place that harms nobody."""
     points = room.points

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from math import exp
 
-from .compiled import kernel
+from .compiled import exact_kernel
 
 
-@kernel
+@exact_kernel
 def photometric_variance(gu, gv, du_dd, dv_dd, var_d, noise):
     """Twin of photometric.photometric_variance (Eq. 8)."""
     if noise.paper_variance:
@@ -20,13 +20,13 @@ def photometric_variance(gu, gv, du_dd, dv_dd, var_d, noise):
     return noise.var_intensity + noise.var_pixel * (gu * gu + gv * gv) + noise.shared * along * var_d
 
 
-@kernel
+@exact_kernel
 def distortion_weight(area, c_h):
     """Twin of photometric.distortion_weight (Eq. 7)."""
     return exp(min(c_h * (area - 1.0) ** 2, 4.0))
 
 
-@kernel
+@exact_kernel
 def moved(T, mx, my, d):
     """R m + t d (3 numbers): the point in the target's axes, times its inverse depth in the host."""
     return (
@@ -36,7 +36,7 @@ def moved(T, mx, my, d):
     )
 
 
-@kernel
+@exact_kernel
 def distortion(T, x, y, iz, fx, fy):
     """dp_target / dp_host at fixed inverse depth, row by row, and its determinant; (x, y, 1) = moved(...) * iz."""
     a00 = (T[0, 0] - x * T[2, 0]) * iz
@@ -46,13 +46,13 @@ def distortion(T, x, y, iz, fx, fy):
     return a00, a01, a10, a11, a00 * a11 - a01 * a10
 
 
-@kernel
+@exact_kernel
 def along_depth(T, x, y, iz, fx, fy):
     """(du/dd, dv/dd) in px m: how the pixel moves with the host's inverse depth."""
     return fx * (T[0, 3] - x * T[2, 3]) * iz, fy * (T[1, 3] - y * T[2, 3]) * iz
 
 
-@kernel
+@exact_kernel
 def pose_jacobian(fx, fy, x, y, rho, J):
     """Fill the first six columns of J (2, ...) with duv/d[v, w] of a left increment; rho: inverse depth there."""
     J[0, 0] = fx * rho
@@ -69,7 +69,7 @@ def pose_jacobian(fx, fy, x, y, rho, J):
     J[1, 5] = fy * x
 
 
-@kernel
+@exact_kernel
 def depth_jacobian(gu, gv, x, y, rho, J, Jz):
     """Fill the first six of Jz with dr/d[v, w] of the depth residual r = d_measured(uv) - rho.
 

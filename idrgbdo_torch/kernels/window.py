@@ -9,7 +9,7 @@ import numpy as np
 from ..measurement import STEP
 from . import equations as of
 from . import patch as at
-from .compiled import kernel
+from .compiled import exact_kernel
 from .equations import (
     add_depths,
     add_patches,
@@ -24,7 +24,7 @@ from .se3 import adjoint, inverse
 from .solver import dot, multiply
 
 
-@kernel
+@exact_kernel
 def linearise_window(views, state, points, pairs, limit, noise, system):
     """Normal equations of the window: views Views, state WindowState, points WindowPoints; fills a WindowSystem.
 
@@ -73,7 +73,7 @@ def linearise_window(views, state, points, pairs, limit, noise, system):
     return energy
 
 
-@kernel
+@exact_kernel
 def own_sensor(points, inv_depth, host, system):
     """The measurement of every point's own sensor, into the system; its energy."""
     energy = 0.0
@@ -87,7 +87,7 @@ def own_sensor(points, inv_depth, host, system):
     return energy
 
 
-@kernel
+@exact_kernel
 def host_rows(points, inv_depth, host, first, room):
     """Fill what some points of a host say of themselves; their inverse depth is a state, whose noise must not count a
     second time."""
@@ -106,7 +106,7 @@ def host_rows(points, inv_depth, host, first, room):
             pixels[at.GRADIENT_V + row] = points.gradient[host, p, k, 1]
 
 
-@kernel
+@exact_kernel
 def linearise_pair(views, poses, bright, pair, limit, noise, room, equations, system):
     """Some points of one host against one target, into the lanes' equations; rms into the system. The energy.
 
@@ -140,7 +140,7 @@ def linearise_pair(views, poses, bright, pair, limit, noise, room, equations, sy
     return energy
 
 
-@kernel
+@exact_kernel
 def add_cross(pair, room, jacobians, chain, system):
     """What ties the inverse depths of some points to a pair of keyframes."""
     host, target, first = pair
@@ -158,7 +158,7 @@ def add_cross(pair, room, jacobians, chain, system):
                 cross[STEP * host + j] += chain[i, j] * with_d
 
 
-@kernel
+@exact_kernel
 def add_pair(host, target, chain, equations, system):
     """The equations of a relative state as ones of two keyframes."""
     pair, pair_b = np.zeros((STEP, STEP)), np.zeros(STEP)
@@ -177,7 +177,28 @@ def add_pair(host, target, chain, equations, system):
         b[ho + i] += dot(chain[:, i], pair_b)
 
 
-@kernel
+@exact_kernel
+def times(system, step, depth_step):
+    """The matrix of a system times steps: of poses and brightness (8K,), of inverse depths (K, N).
+
+    Not numpy's product, whose last bits depend on where its arrays lie.
+    """
+    n = system.H.shape[0]
+    K, N = system.Hd.shape
+    of_poses = np.zeros(n)
+    of_depths = system.Hd * depth_step
+    for i in range(n):
+        of_poses[i] = dot(system.H[i], step)
+    for k in range(K):
+        for p in range(N):
+            row, d = system.cross[k, p], depth_step[k, p]
+            of_depths[k, p] += dot(row, step)
+            for i in range(n):
+                of_poses[i] += d * row[i]
+    return of_poses, of_depths
+
+
+@exact_kernel
 def eliminate_depths(system):
     """Schur complement of the inverse depths, whose block is diagonal: (8K, 8K) and (8K,) of poses and brightness."""
     out = system.H.copy()
@@ -203,7 +224,7 @@ def eliminate_depths(system):
     return out, rhs
 
 
-@kernel
+@exact_kernel
 def subtract_block(out, row, start, weight):
     """Subtract weight row^T row from out (n, n), eight rows of it from the diagonal on.
 

@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..kernels.solver import dot
+from ..kernels.window import times
 from ..measurement import WindowSystem
 
 Array = NDArray[Any]
@@ -29,13 +31,13 @@ class Part(NamedTuple):
     def at(self, step: Array, depth_step: Array) -> Part:
         """The same at a state that lies step (8K,) and depth_step (K, N) away: another energy, other right sides."""
         H, b, Hd, bd, cross, rms = self.system
-        Hs, Hsd = H @ step + np.tensordot(depth_step, cross, 2), Hd * depth_step + cross @ step
-        energy = self.energy + step @ (Hs - 2.0 * b) + float((depth_step * (Hsd - 2.0 * bd)).sum())
+        Hs, Hsd = times(self.system, step, depth_step)
+        energy = self.energy + dot(step, Hs - 2.0 * b) + dot(depth_step.ravel(), (Hsd - 2.0 * bd).ravel())
         return Part(energy, WindowSystem(H, b - Hs, Hd, bd - Hsd, cross, rms))
 
     def moved(self, step: Array, depth_step: Array) -> float:
         """How far that is, in squared standard deviations of this part, the mean over its unknowns."""
         _, b, _, bd, _, _ = self.system
         there = self.at(step, depth_step).system
-        squared = float(step @ (b - there.b) + (depth_step * (bd - there.bd)).sum())
+        squared = float(dot(step, b - there.b) + dot(depth_step.ravel(), (bd - there.bd).ravel()))
         return squared / (step.size + depth_step.size)
