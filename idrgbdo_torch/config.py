@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
+from .errors import IdRgbdoError
+from .text import configfile
 from .text.configfile import Bounds, Count, Fraction, Index, NonNegative, Positive
 
 Mode = Literal["rand", "grid", "inf", "inf+grid"]
@@ -128,3 +130,10 @@ class CameraSettings:
     emitter: bool | None = None  # the infrared pattern
     exposure: Positive | None = None  # of colour, in the camera's unit (D400: 0.1 ms); ends automatic exposure
     gain: NonNegative | None = None  # of colour; ends automatic exposure
+
+
+def checked(config: Config | None) -> Config:
+    """The configuration, the defaults for None, with all numbers of the types said; IdRgbdoError for what is none."""
+    if config is not None and not isinstance(config, Config):
+        raise IdRgbdoError(f"config: expected a Config, got {type(config).__name__}; change fields of Config()")
+    return configfile.check(Config() if config is None else config)

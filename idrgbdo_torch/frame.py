@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from copy import copy
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import Any
 
 import cv2
@@ -14,6 +15,7 @@ from torch import Tensor
 
 from .definitions.camera import Pinhole
 from .definitions.checks import check_gray, check_metres, extremes
+from .definitions.given import number, plain_tensor
 from .errors import IdRgbdoError
 from .measurement import COARSE_BLUR, LEVELS, Points, View
 from .text.clock import NO_SECONDS
@@ -34,36 +36,58 @@ class RgbdFrame:
     depth: Tensor
     camera: Pinhole
     color: Tensor | None = None
+    is_owned: bool = field(default=False, init=False, repr=False, compare=False)  # see owned()
 
     def __post_init__(self) -> None:
         """Raises IdRgbdoError for images of another type or size than said, and for gray levels and times that are
-        none. Depth that is NaN, infinite or negative becomes 0; numpy arrays become tensors.
+        none. Depth that is NaN, infinite or negative becomes 0; numpy arrays become tensors, which share their memory.
         """
-        size = (self.camera.height, self.camera.width)
+        if not isinstance(self.camera, Pinhole):
+            raise IdRgbdoError(
+                f"camera: expected a Pinhole of these images, got {type(self.camera).__name__}; make one of the "
+                "image's size and the intrinsics"
+            )
         for name in ("gray", "depth", "color"):
-            if isinstance(getattr(self, name), np.ndarray):
-                object.__setattr__(self, name, torch.from_numpy(np.ascontiguousarray(getattr(self, name))))
-        for name, image in (("gray", self.gray), ("depth", self.depth)):
-            if image.dtype != torch.float32 or tuple(image.shape) != size:
-                raise IdRgbdoError(
-                    f"{name}: expected a float32 tensor of shape {size} (the camera's height, width), "
-                    f"got {image.dtype} {tuple(image.shape)}; convert it (RgbdFrame.from_images takes colour and depth "
-                    "as cameras give them) or pass the matching camera"
-                )
-        if self.color is not None and (self.color.dtype != torch.uint8 or tuple(self.color.shape) != (*size, 3)):
-            raise IdRgbdoError(
-                f"color: expected a uint8 tensor of shape {(*size, 3)}, red green blue, got {self.color.dtype} "
-                f"{tuple(self.color.shape)}; convert it, or leave it out"
-            )
-        if not abs(self.timestamp) <= NO_SECONDS:
-            raise IdRgbdoError(
-                f"timestamp: expected seconds, got {self.timestamp:g}; divide milliseconds by 1e3, nanoseconds by 1e9"
-            )
+            if name != "color" or self.color is not None:
+                object.__setattr__(self, name, plain_tensor(name, getattr(self, name)))
+        object.__setattr__(self, "timestamp", _seconds(self.timestamp))
+        self.check_images()
         check_gray(self.gray)
         nearest, farthest = extremes(self.depth)
         if not (nearest >= 0 and farthest < float("inf")):  # nor NaN
             there = self.depth.isfinite() & (self.depth > 0)
             object.__setattr__(self, "depth", torch.where(there, self.depth, 0.0))
+
+    def check_images(self) -> None:
+        """Raises IdRgbdoError for images that are no dense tensors of the types and sizes said."""
+        size = (self.camera.height, self.camera.width)
+        for name, image in (("gray", self.gray), ("depth", self.depth)):
+            if not _is_plain(image, torch.float32, size):
+                raise IdRgbdoError(
+                    f"{name}: expected a float32 tensor of shape {size} (the camera's height, width), "
+                    f"got {_described(image)}; convert it (RgbdFrame.from_images takes colour and depth "
+                    "as cameras give them) or pass the matching camera"
+                )
+        if self.color is not None and not _is_plain(self.color, torch.uint8, (*size, 3)):
+            raise IdRgbdoError(
+                f"color: expected a uint8 tensor of shape {(*size, 3)}, red green blue, got {_described(self.color)}; "
+                "convert it, or leave it out"
+            )
+
+    def owned(self) -> RgbdFrame:
+        """This frame, whose images nobody else will write to: they are not copied when it is tracked."""
+        object.__setattr__(self, "is_owned", True)
+        return self
+
+    def copied(self) -> RgbdFrame:
+        """The same frame with images of its own, for who keeps it while the camera's buffers are filled again."""
+        if self.is_owned:
+            return self
+        out = copy(self)
+        for name in ("gray", "depth", "color"):
+            if (image := getattr(self, name)) is not None:
+                object.__setattr__(out, name, image.detach().clone())
+        return out
 
     @classmethod
     def from_images(
@@ -80,7 +104,9 @@ class RgbdFrame:
         float (metres unless depth_scale says otherwise) or integer, for which depth_scale says how many make a metre:
         1000 where they are millimetres, 5000 in TUM's files. Raises IdRgbdoError for anything else.
         """
-        color, z = (torch.as_tensor(_native(image)) for image in (rgb, depth))
+        color, z = plain_tensor("rgb", rgb), plain_tensor("depth", depth)
+        if not isinstance(camera, Pinhole):
+            raise IdRgbdoError(f"camera: expected a Pinhole, got {type(camera).__name__}; make one of the intrinsics")
         size = (camera.height, camera.width)
         if color.dim() == 3 and tuple(color.shape) == (3, *size):
             color = color.permute(1, 2, 0)
@@ -89,25 +115,40 @@ class RgbdFrame:
                 f"rgb: expected uint8 of shape {(*size, 3)} or {size} (the camera's height, width), got {color.dtype} "
                 f"{tuple(color.shape)}; convert it (a float image in 0..1: times 255) or pass the matching camera"
             )
-        if depth_scale is not None and not 0 < depth_scale < float("inf"):
+        if depth_scale is not None and not number("depth_scale", depth_scale, "depth values per metre") > 0:
             raise IdRgbdoError(f"depth_scale: expected depth values per metre, above 0, got {depth_scale}; change it")
         if depth_scale is None and not z.dtype.is_floating_point:
             raise IdRgbdoError(
                 f"depth_scale: expected the values per metre of {z.dtype} depth, got none; pass 1000 for millimetres"
             )
-        metres = z.to(torch.float32) / (depth_scale or 1.0)
+        metres = z.to(torch.float32) / float(depth_scale or 1.0)
         color = color.contiguous()
         if color.dim() == 2:
-            return cls(timestamp, color.float(), metres, camera, color[..., None].expand(*size, 3).contiguous())
+            return cls(timestamp, color.float(), metres, camera, color[..., None].expand(*size, 3).contiguous()).owned()
         gray = cv2.cvtColor(color.numpy().astype(np.float32), cv2.COLOR_RGB2GRAY)  # ITU-R BT.601
-        return cls(timestamp, torch.from_numpy(gray), metres, camera, color)
+        return cls(timestamp, torch.from_numpy(gray), metres, camera, color.clone()).owned()
 
 
-def _native(image: Tensor | Image) -> Any:
-    """The image for torch.as_tensor, contiguous; uint16 as int32, with which torch can calculate."""
-    if isinstance(image, np.ndarray):
-        return np.ascontiguousarray(image.astype(np.int32) if image.dtype == np.uint16 else image)
-    return image.to(torch.int32) if image.dtype == torch.uint16 else image
+def _is_plain(image: object, dtype: torch.dtype, shape: tuple[int, ...]) -> bool:
+    if not isinstance(image, Tensor) or image.is_nested or image.layout != torch.strided:
+        return False
+    return image.device.type == "cpu" and image.dtype == dtype and tuple(image.shape) == shape
+
+
+def _described(image: object) -> str:
+    if not isinstance(image, Tensor) or image.is_nested or image.layout != torch.strided or image.is_meta:
+        return f"{type(image).__name__} that is no dense tensor"
+    return f"{image.dtype} {tuple(image.shape)}"
+
+
+def _seconds(timestamp: object) -> float:
+    """Raises IdRgbdoError for a time that is no number of seconds."""
+    seconds = number("timestamp", timestamp, "seconds")
+    if not abs(seconds) <= NO_SECONDS:
+        raise IdRgbdoError(
+            f"timestamp: expected seconds, got {seconds:g}; divide milliseconds by 1e3, nanoseconds by 1e9"
+        )
+    return seconds
 
 
 def check_next(rgbd: RgbdFrame, before: Pinhole | None) -> None:
@@ -116,6 +157,11 @@ def check_next(rgbd: RgbdFrame, before: Pinhole | None) -> None:
     before: the camera of the frames before, None where there is no keyframe yet. Raises IdRgbdoError; a bad image, on
     the other hand, is a lost frame, and a clock that stands still or goes back says nothing of the motion.
     """
+    if not isinstance(rgbd, RgbdFrame):
+        hint = "run() takes those that could not be read" if isinstance(rgbd, BrokenFrame) else "make one of the images"
+        raise IdRgbdoError(f"frame: expected an RgbdFrame, got {type(rgbd).__name__}; {hint}")
+    rgbd.check_images()  # whoever goes round the constructor would spoil frames to come
+    _seconds(rgbd.timestamp)
     if before is None:
         check_metres(rgbd.depth)
     elif (before.width, before.height) != (rgbd.camera.width, rgbd.camera.height):
@@ -131,6 +177,10 @@ class BrokenFrame:
 
     timestamp: float
     reason: str
+
+    def __post_init__(self) -> None:
+        """Raises IdRgbdoError for a time that is none."""
+        object.__setattr__(self, "timestamp", _seconds(self.timestamp))
 
 
 @dataclass(frozen=True)
@@ -160,7 +210,8 @@ def prepare(rgbd: RgbdFrame, blur: float = 0.0) -> Frame:
     """Gray pyramid by 2x2 means, which is what Pinhole.at_level assumes; the coarse levels are blurred.
 
     Without that blur, texture aliases on the coarse levels and Gauss-Newton crawls there. blur: px, standard deviation
-    of one of the finest level, from which the others do not take it. The input is not changed.
+    of one of the finest level, from which the others do not take it. The input is not changed, and nothing of its
+    memory is kept unless it is owned: cameras fill their buffers again.
     Raises IdRgbdoError for images that have no coarsest level.
     """
     least = 2 ** (LEVELS - 1)
@@ -169,7 +220,8 @@ def prepare(rgbd: RgbdFrame, blur: float = 0.0) -> Frame:
             f"frame: expected images of at least {least}x{least} pixels, got {rgbd.camera.width}x{rgbd.camera.height}; "
             "record larger ones"
         )
-    images = [np.ascontiguousarray(rgbd.gray.numpy())]
+    own = np.ascontiguousarray if rgbd.is_owned else partial(np.array, order="C")
+    images = [own(rgbd.gray.detach().numpy())]
     while len(images) < LEVELS:
         height, width = images[-1].shape
         even = images[-1][: max(height // 2, 1) * 2, : max(width // 2, 1) * 2]
@@ -179,8 +231,9 @@ def prepare(rgbd: RgbdFrame, blur: float = 0.0) -> Frame:
     sharp = images[0]
     if blur > 0.0:
         images[0] = cv2.GaussianBlur(images[0], (5, 5), blur)
-    depth = np.ascontiguousarray(rgbd.depth.numpy())
-    return Frame(rgbd.timestamp, rgbd.camera, tuple(images), depth, rgbd.color, sharp)
+    depth = own(rgbd.depth.detach().numpy())
+    color = rgbd.color if rgbd.color is None or rgbd.is_owned else rgbd.color.clone()
+    return Frame(rgbd.timestamp, rgbd.camera, tuple(images), depth, color, sharp)
 
 
 @dataclass(frozen=True)

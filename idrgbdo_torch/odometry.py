@@ -5,65 +5,24 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import dataclass, replace
 from time import perf_counter_ns
 from typing import Protocol
 
 import torch
 from torch import Tensor
 
+from .definitions.given import rigid
+from .definitions.records import Records
+from .definitions.results import Record as Record
+from .definitions.results import Status as Status
+from .definitions.results import TrackResult as TrackResult
 from .definitions.se3 import exp, inverse
-from .frame import BrokenFrame, RgbdFrame
-from .trajectory import Trajectory
+from .errors import IdRgbdoError
+from .frame import BrokenFrame, RgbdFrame, check_next
+from .trajectory import Trajectory, timed
 
 PARTICULARS = re.compile(r"'[^']*'|\d+(?:\.\d+)?")  # names between quotes, and numbers
-
-
-class Status(Enum):
-    """How far a pose can be trusted: OK; WEAK, given but doubtful; LOST, only a prediction."""
-
-    OK = "ok"
-    WEAK = "weak"
-    LOST = "lost"
-
-
-@dataclass(frozen=True)
-class TrackResult:
-    """The pose of one frame and how certain it is."""
-
-    T_world_cam: Tensor  # (4, 4) float64
-    status: Status
-    reason: str = ""  # one sentence; empty when OK
-    reference_time: float | None = None  # s, the keyframe (or previous frame) that the pose was measured against
-    T_ref_cam: Tensor | None = None  # (4, 4) float64, the measurement itself
-    information: Tensor | None = None  # (6, 6) float64 of a left increment [v, w] of T_cam_ref: 1/m^2, 1/rad^2
-    keyframe: bool = False  # this frame became a keyframe
-    points: int = 0  # points used on the finest level
-    iterations: int = 0
-    entropy_bits: tuple[float, ...] = ()  # per degree of freedom [v, w], bits
-    segment: int = 0  # grows by one when a lost track starts anew
-
-    @property
-    def covariance(self) -> Tensor:
-        """(6, 6) float64 of a left increment [v, w] of T_cam_ref, the inverse of the information: m^2, rad^2, m rad.
-
-        There is one for every frame. The first frame defines the world: zeros. Of a lost frame nothing is known:
-        infinite on the diagonal, as it is where the information has no inverse. A method that does not say how certain
-        it is gives NaN.
-        """
-        nothing = torch.diag(torch.full((6,), torch.inf, dtype=torch.float64))
-        if self.status is Status.LOST:
-            return nothing
-        if self.information is None:
-            first = self.status is Status.OK and self.T_ref_cam is None
-            return torch.full((6, 6), 0.0 if first else torch.nan, dtype=torch.float64)
-        information = self.information.double()
-        spread = information.diagonal().clamp(min=1e-300).rsqrt()  # metres and radians made alike, then inverted
-        factor, failed = torch.linalg.cholesky_ex(spread[:, None] * information * spread)
-        if int(failed) or not bool(factor.isfinite().all()):
-            return nothing
-        return spread[:, None] * torch.cholesky_inverse(factor) * spread
 
 
 class Odometry(Protocol):
@@ -109,9 +68,9 @@ def lost_because(records: Iterable[Record]) -> dict[str, int]:
 
 
 def poses_to_trajectory(timestamps: Sequence[float], poses: Sequence[Tensor]) -> Trajectory:
-    """N times (s) and N (4, 4) poses as one Trajectory."""
+    """N times (s) and N (4, 4) poses as one Trajectory, by time; of frames with the same time the last."""
     stacked = torch.stack(list(poses)) if poses else torch.empty(0, 4, 4, dtype=torch.float64)
-    return Trajectory(torch.tensor(timestamps, dtype=torch.float64), stacked)
+    return timed(torch.tensor(timestamps, dtype=torch.float64), stacked)
 
 
 class ConstantVelocity:
@@ -126,18 +85,19 @@ class ConstantVelocity:
 
     def reset(self, T_world_cam: Tensor | None = None) -> None:
         """Forget everything; the next frame gets the pose T_world_cam (identity by default)."""
-        self._start = torch.eye(4, dtype=torch.float64) if T_world_cam is None else T_world_cam
+        self._start = rigid("T_world_cam", T_world_cam)
         self._times: list[float] = []
         self._poses: list[Tensor] = []
 
     def track(self, frame: RgbdFrame) -> TrackResult:
         """The pose that the velocity predicts; WEAK, since nothing was measured."""
+        check_next(frame, None)
         pose = self._start
         if self._times:
             pose = self._poses[-1] @ exp(self._velocity * (frame.timestamp - self._times[-1]))
         self._times.append(frame.timestamp)
-        self._poses.append(pose)
-        return TrackResult(pose, Status.WEAK, "predicted without looking at the images")
+        self._poses.append(pose.clone())
+        return TrackResult(pose.clone(), Status.WEAK, "predicted without looking at the images")
 
     def trajectory(self) -> Trajectory:
         """All poses so far."""
@@ -160,7 +120,7 @@ class FrameToFrame:
 
     def reset(self, T_world_cam: Tensor | None = None) -> None:
         """Forget everything; the next frame gets the pose T_world_cam (identity by default)."""
-        self._pose = torch.eye(4, dtype=torch.float64) if T_world_cam is None else T_world_cam  # T_world_cam, the last
+        self._pose = rigid("T_world_cam", T_world_cam)  # the last
         self._motion = torch.eye(4, dtype=torch.float64)  # T_frame_previous, the last that was measured
         self._good: RgbdFrame | None = None
         self._lost: RgbdFrame | None = None  # the frame before, where it was lost
@@ -170,12 +130,14 @@ class FrameToFrame:
 
     def track(self, frame: RgbdFrame) -> TrackResult:
         """Align the frame to the one before. LOST with the method's reason, at the pose before, where that fails."""
+        check_next(frame, self._good.camera if self._good else None)
+        kept = frame.copied()
         if self._good is None:
             result = TrackResult(self._pose, Status.OK, segment=self._segment)
-            self._good = frame
+            self._good = kept
         else:
-            result = self._step(frame, self._good)
-        self._pose = result.T_world_cam
+            result = self._step(kept, self._good)
+        self._pose = result.T_world_cam.clone()  # the result is the caller's to change
         self._times.append(frame.timestamp)
         self._poses.append(self._pose)
         return result
@@ -184,13 +146,23 @@ class FrameToFrame:
         """All poses so far."""
         return poses_to_trajectory(self._times, self._poses)
 
+    def _measured(self, reference: RgbdFrame, frame: RgbdFrame, guess: Tensor) -> Alignment:
+        """What the method says; LOST where that is no pose, which would spoil all that follow."""
+        alignment = self._align(reference, frame, guess.clone())
+        if alignment.status is not Status.LOST:
+            try:
+                alignment = replace(alignment, T_target_source=rigid("T_target_source", alignment.T_target_source))
+            except IdRgbdoError as error:
+                return Alignment(guess, Status.LOST, str(error))
+        return alignment
+
     def _step(self, frame: RgbdFrame, good: RgbdFrame) -> TrackResult:
         identity = torch.eye(4, dtype=torch.float64)
         reference = good
-        alignment = self._align(reference, frame, self._motion if self._predict else identity)
+        alignment = self._measured(reference, frame, self._motion if self._predict else identity)
         if alignment.status is Status.LOST and self._lost is not None:
             reference = self._lost
-            alignment = self._align(reference, frame, identity)
+            alignment = self._measured(reference, frame, identity)
             self._segment += alignment.status is not Status.LOST
         if alignment.status is Status.LOST:
             self._lost, self._motion = frame, identity
@@ -209,30 +181,26 @@ class FrameToFrame:
 
 
 @dataclass(frozen=True)
-class Record:
-    """One frame of a run."""
-
-    timestamp: float  # s
-    result: TrackResult
-    decode_ms: float  # until the frame was there: what was not yet read, decoded and undistorted ahead
-    track_ms: float | None  # in track() alone; None for a frame that could not be read
-
-
-@dataclass(frozen=True)
 class Run:
     """What an odometry made of a sequence."""
 
     name: str
-    records: tuple[Record, ...]
+    records: Sequence[Record]
 
     @property
     def statuses(self) -> tuple[Status, ...]:
         """One status a frame."""
-        return tuple(record.result.status for record in self.records)
+        return Records.of(self.records).statuses()
+
+    @property
+    def timestamps(self) -> Tensor:
+        """(N,) float64 seconds, one a frame, as they came."""
+        return Records.of(self.records).timestamps()
 
     def trajectory(self) -> Trajectory:
-        """The causal poses: each as it was known when its frame came."""
-        return poses_to_trajectory([r.timestamp for r in self.records], [r.result.T_world_cam for r in self.records])
+        """The causal poses by time: each as it was known when its frame came."""
+        records = Records.of(self.records)
+        return timed(records.timestamps(), records.poses())
 
 
 def run(
@@ -245,9 +213,14 @@ def run(
 
     The clock runs around track() alone; fetching a frame is timed apart. A BrokenFrame is LOST with its reason, at the
     last pose. on_record sees every record as soon as it is there, so that an interrupted run leaves what was done.
-    earlier: the records of a run that is continued; they come first in the result.
+    earlier: the records of a run that is continued; they come first in the result, which goes on in them where they are
+    Records already.
     """
-    records = list(earlier)
+    if not callable(getattr(odometry, "track", None)):
+        raise IdRgbdoError(f"odometry: expected an Odometry, got {type(odometry).__name__}; pass IdRgbdo()")
+    if not isinstance(frames, Iterable):
+        raise IdRgbdoError(f"frames: expected RgbdFrames to iterate over, got {type(frames).__name__}; pass a list")
+    records = Records.of(earlier)
     segment, pose = 0, torch.eye(4, dtype=torch.float64)
     if records:
         segment, pose = records[-1].result.segment, records[-1].result.T_world_cam
@@ -257,7 +230,7 @@ def run(
         frame = next(source, None)
         fetched = perf_counter_ns()
         if frame is None:
-            return Run(odometry.name, tuple(records))
+            return Run(odometry.name, records)
         track_ms: float | None = None
         if isinstance(frame, BrokenFrame):
             result = TrackResult(pose, Status.LOST, frame.reason, segment=segment)
@@ -265,6 +238,7 @@ def run(
             result = odometry.track(frame)
             track_ms = (perf_counter_ns() - fetched) / 1e6
         pose, segment = result.T_world_cam, result.segment
-        records.append(Record(frame.timestamp, result, (fetched - begin) / 1e6, track_ms))
+        record = Record(frame.timestamp, result, (fetched - begin) / 1e6, track_ms)
+        records.append(record)
         if on_record is not None:
-            on_record(records[-1])
+            on_record(record)

@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from .errors import IdRgbdoError
+from .errors import IdRgbdoError, door
 from .text.tum import read_rows
 
 TUM_HEADER = "# timestamp tx ty tz qx qy qz qw (camera to world, seconds and metres)\n"
@@ -24,6 +24,9 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         times, poses = self.timestamps, self.T_world_cam
+        for name, given in (("timestamps", times), ("T_world_cam", poses)):
+            if not isinstance(given, Tensor) or given.is_nested or given.layout != torch.strided or given.is_meta:
+                raise IdRgbdoError(f"{name}: expected a dense float64 tensor, got {type(given).__name__}; convert it")
         if times.dtype != torch.float64 or times.dim() != 1:
             raise IdRgbdoError(
                 f"timestamps: expected (N,) float64, got {tuple(times.shape)} {times.dtype}; convert them"
@@ -33,7 +36,7 @@ class Trajectory:
                 f"T_world_cam: expected ({len(times)}, 4, 4) float64, one pose a timestamp, "
                 f"got {tuple(poses.shape)} {poses.dtype}; convert them"
             )
-        if bool((times[1:] <= times[:-1]).any()):
+        if not bool((times[1:] > times[:-1]).all() & times.isfinite().all()):  # nor NaN
             raise IdRgbdoError("timestamps: expected increasing times, got a step back or a repeated time; sort them")
 
     def __len__(self) -> int:
@@ -51,6 +54,24 @@ class Trajectory:
     def at(self, indices: Tensor) -> Trajectory:
         """The poses at (M,) increasing indices (or a boolean mask)."""
         return Trajectory(self.timestamps[indices], self.T_world_cam[indices], self.notes)
+
+
+def in_time(timestamps: Tensor) -> Tensor:
+    """(M,) indices that sort times (N,) float64; of equal times the last, as read_tum takes them.
+
+    A clock that stands still, goes back or jumps for a frame costs one pose, not the trajectory.
+    """
+    order = timestamps.argsort(stable=True)
+    times = timestamps[order]
+    return order[torch.cat([times[1:] > times[:-1], torch.ones(min(len(times), 1), dtype=torch.bool)])]
+
+
+def timed(timestamps: Tensor, T_world_cam: Tensor) -> Trajectory:
+    """Poses (N, 4, 4) at times (N,) in any order, by time; `notes` of the result says where some share one."""
+    order = in_time(timestamps)
+    left_out = len(timestamps) - len(order)
+    repeated = f"{left_out} of {len(timestamps)} frames have the time of a later one, whose pose stands for both"
+    return Trajectory(timestamps[order], T_world_cam[order], (repeated,) if left_out else ())
 
 
 def rotation_from_quaternion(quaternion: Tensor) -> Tensor:
@@ -95,12 +116,14 @@ def tum_text(trajectory: Trajectory) -> str:
     return TUM_HEADER + "".join(tum_line(time, pose) for time, pose in poses)
 
 
-def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Write a trajectory as TUM text."""
-    path.write_text(tum_text(trajectory), encoding="utf-8")
+@door
+def write_tum(path: Path | str, trajectory: Trajectory) -> None:
+    """Write a trajectory as TUM text. Raises IdRgbdoError where the file cannot be written."""
+    Path(path).write_text(tum_text(trajectory), encoding="utf-8")
 
 
-def read_tum(path: Path) -> Trajectory:
+@door
+def read_tum(path: Path | str) -> Trajectory:
     """Read TUM text: `timestamp tx ty tz qx qy qz qw` a line, # for comments, commas and tabs as good as blanks.
 
     Timestamps above 1e11 are milliseconds, microseconds or nanoseconds, and become seconds. Like the TUM tools it sorts
@@ -109,7 +132,7 @@ def read_tum(path: Path) -> Trajectory:
     Raises IdRgbdoError with file and line for anything else that is not eight numbers with a unit quaternion, for
     timestamps that are no clock, and where a second run follows the first.
     """
-    found = read_rows(path)
+    found = read_rows(Path(path))
     rows = torch.tensor(found.poses, dtype=torch.float64)  # (N, 7)
     T_world_cam = torch.eye(4, dtype=torch.float64).repeat(len(rows), 1, 1)
     T_world_cam[:, :3, 3] = rows[:, :3]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -26,7 +26,7 @@ class Session:
 
     folder: Path
     odometry: Odometry
-    records: list[Record]  # grows by one with every frame; holds what was done before where a run is continued
+    records: Sequence[Record]  # grows by one with every frame; holds what was done before where a run is continued
     groundtruth: Trajectory | None
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from .. import __version__, datasets, odometry
 from ..config import Config
+from ..definitions.records import Records
 from ..errors import IdRgbdoError
 from ..evaluation import Evaluation, hints
 from ..evaluation import evaluate as evaluate_trajectory
@@ -52,7 +53,7 @@ def make_odometry(config: Config) -> Odometry:
 
     if config.backend == "fused":
         with compiling_bar() as on_function:
-            warm_up(lambda: IdRgbdo(compile_ahead=False), on_function)
+            warm_up(lambda config: IdRgbdo(config, compile_ahead=False), on_function)
     return IdRgbdo(config)
 
 
@@ -75,7 +76,7 @@ class Job:
 
     def begin(self) -> State:
         """A run without a frame yet."""
-        return State(make_odometry(self.config), [], [])
+        return State(make_odometry(self.config), Records(), [])
 
     def go_on(self, path: Path) -> State:
         """The interrupted run in a folder. Raises IdRgbdoError where there is none of this job."""
@@ -160,7 +161,6 @@ def do(
 
             def on_record(record: Record) -> None:
                 folder.append(record)
-                records.append(record)
                 advance(count_statuses(record))
                 if checkpoints:
                     checkpoints.offer(state)
@@ -169,7 +169,7 @@ def do(
             frames: Frames = watch(_until(stopped, _from(sequence, done_before)), method, picks, snapshots)
             for observer in observers:
                 frames = observer.stream(frames, session)
-            done = odometry.run(method, frames, on_record, tuple(records))
+            done = odometry.run(method, frames, on_record, records)
             if checkpoints:  # an interrupted run goes on here; a finished one drops it at the end
                 checkpoints.offer(state, now=True)
             evaluation, rows = _evaluated(done, method, sequence.groundtruth)

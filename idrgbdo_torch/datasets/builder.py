@@ -80,7 +80,7 @@ class FrameBuilder:
             depth=torch.from_numpy(depth_m),  # (H, W) m
             camera=self.camera,
             color=torch.from_numpy(rgb),  # (H, W, 3)
-        )
+        ).owned()
 
     def frame_or_reason(self, timestamp: float, read: Callable[[], RawPair]) -> RgbdFrame | BrokenFrame:
         """The frame of what `read` gives; where that or its size is wrong, a BrokenFrame that says why."""

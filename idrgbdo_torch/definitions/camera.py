@@ -8,7 +8,9 @@ import torch
 from torch import Tensor
 
 from ..errors import IdRgbdoError
+from .given import number
 
+SHORTEST_PX, FARTHEST_PX = 1e-6, 1e7  # of a focal length; beyond, squares leave the range of numbers
 MIN_DEPTH = 1e-3  # m; nearer, or behind, is not in front of the camera
 
 
@@ -27,6 +29,19 @@ class Pinhole:
     cy: float
 
     def __post_init__(self) -> None:
+        """Raises IdRgbdoError for what is no camera; whole numbers become the floats that everything else takes."""
+        for name in ("fx", "fy", "cx", "cy"):
+            object.__setattr__(self, name, number(f"camera: {name}", getattr(self, name), "pixels"))
+        for name in ("width", "height"):
+            pixels = number(f"camera: {name}", getattr(self, name), "pixels")
+            if pixels != int(pixels):
+                raise IdRgbdoError(f"camera: {name}: expected a whole number of pixels, got {pixels}; change it")
+            object.__setattr__(self, name, int(pixels))
+        if max(self.fx, self.fy, abs(self.cx), abs(self.cy)) > FARTHEST_PX or 0 < min(self.fx, self.fy) < SHORTEST_PX:
+            raise IdRgbdoError(
+                f"camera: expected focal lengths and a principal point in pixels, got fx={self.fx:g}, fy={self.fy:g}, "
+                f"cx={self.cx:g}, cy={self.cy:g}; check the intrinsics"
+            )
         if self.width <= 0 or self.height <= 0 or self.fx <= 0 or self.fy <= 0:
             raise IdRgbdoError(
                 f"camera: expected a positive size and focal length, got {self.width}x{self.height}, "

@@ -21,6 +21,8 @@ LARGEST_GAIN = 1.0  # of the logarithm; both since with no contrast left, a blac
 def check_gray(gray: Tensor) -> None:
     """Raises IdRgbdoError where (..., H, W) are no gray levels 0..255, but numbers in 0..1 or 16 bits; NaN passes."""
     low, high = extremes(gray)
+    if low != low:  # what is there besides NaN
+        low, high = extremes(torch.where(gray.isnan(), 0.0, gray))
     if low < -GRAY_ROOM or high > 255 + GRAY_ROOM:
         raise IdRgbdoError(f"gray: expected gray levels 0..255, got {low:g} to {high:g}; scale the image")
     # a dark image has few levels below 1, a bright one divided by 255 has many

@@ -11,15 +11,17 @@ from math import e, log2, pi
 import torch
 from torch import Tensor
 
-from ..errors import IdRgbdoError
+from ..errors import IdRgbdoError, door
 
 
+@door
 def entropy_bits(covariance: Tensor) -> Tensor:
     """Eq. (11). H(X) = 1/2 log2((2 pi e)^k |Sigma_X|) (...) in bits, from a covariance (..., k, k)."""
     k = covariance.shape[-1]
     return 0.5 * (k * log2(2 * pi * e) + log2_det(covariance, "covariance"))
 
 
+@door
 def entropy_reduction_bits(covariance_x: Tensor, covariance_y: Tensor) -> Tensor:
     """Eq. (12). Delta H(X, Y) = H(X) - H(Y) = 1/2 log2(|Sigma_X| / |Sigma_Y|) (...) in bits: positive if Y is surer."""
     return 0.5 * (log2_det(covariance_x, "covariance_x") - log2_det(covariance_y, "covariance_y"))
@@ -35,6 +37,7 @@ def split_joint(joint: Tensor, n: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return joint[..., :n, :n], joint[..., :n, n:], joint[..., n:, :n], joint[..., n:, n:]
 
 
+@door
 def conditional_covariance(joint: Tensor, n: int) -> Tensor:
     """Eq. (14). Sigma_x* = Sigma_xx - Sigma_xy Sigma_yy^-1 Sigma_yx (..., n, n), of the first n given the rest."""
     xx, xy, yx, yy = split_joint(joint.double(), n)
@@ -42,12 +45,14 @@ def conditional_covariance(joint: Tensor, n: int) -> Tensor:
     return 0.5 * (conditional + conditional.mT)
 
 
+@door
 def mutual_information_bits(joint: Tensor, n: int) -> Tensor:
     """Eq. (15). MI(x, y) = 1/2 log2(|Sigma_xx| / |Sigma_x*|) (...) in bits, x the first n variables of the joint."""
     xx, _, _, _ = split_joint(joint, n)
     return 0.5 * (log2_det(xx, "joint, block xx") - log2_det(conditional_covariance(joint, n), "joint"))
 
 
+@door
 def information_from_rows(j: Tensor, variance: Tensor) -> Tensor:
     """Eq. (16). Lambda_x = sum over p of j_p^T sigma_p^-2 j_p (..., m, m), rows j (..., N, m), variance (..., N).
 

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from ..config import NoiseConfig
+from ..errors import door
 from ..measurement import OTHER_SURFACE, PIXELS, inverse_depth_sigma
 from .camera import Pinhole
 from .image import sample_surface
@@ -52,6 +53,7 @@ class ResidualNoise:
     gradient_blend: float  # share of the keyframe's gradient in the Jacobian
 
 
+@door
 def residual_noise(config: NoiseConfig | None = None) -> ResidualNoise:
     """The noise of a configuration, by default of the default one, for patches of 8 pixels."""
     config = config or NoiseConfig()
@@ -118,6 +120,7 @@ def gradient_in_target(camera: Pinhole, gradient: Tensor, inverse_depth: Tensor,
     return torch.stack([g_u, g_v], dim=-1)
 
 
+@door
 def linearise_pairs(
     points: HostPoints, target: Target, T_target_host: Tensor, affine: Tensor, noise: ResidualNoise,
     scale: float | Tensor = 1.0, limit: float = float("inf"), pixels: int = PIXELS,

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from .. import measurement
-from ..errors import IdRgbdoError
+from ..errors import IdRgbdoError, door
 from .camera import Pinhole, backproject, dP_dinverse_depth, duv_dP, project
 from .image import AGREEMENT, sample_surface, sample_with_gradient
 from .se3 import hat, transform
@@ -60,6 +60,7 @@ class DepthTerm:
     dr_dd: Tensor  # (...)
 
 
+@door
 def warp(
     camera: Pinhole, uv: Tensor, inverse_depth: Tensor, T_target_host: Tensor, pattern: Tensor = PATTERN,
     slope: Tensor | None = None,
@@ -97,6 +98,7 @@ def photometric_residual(intensity_target: Tensor, intensity_host: Tensor, affin
     return intensity_target - a.exp() * intensity_host - b
 
 
+@door
 def linearize(image_target: Tensor, warped: Warp, intensity_host: Tensor, affine: Tensor) -> Photometric:
     """Residuals of `photometric_residual` at warped points with their analytic Jacobians.
 
@@ -176,6 +178,7 @@ def residual_variance(h: Tensor, sigma2_phi: Tensor) -> Tensor:
     return h[..., None] * sigma2_phi
 
 
+@door
 def depth_residual(
     inverse_depth_target: Tensor, warped: Warp, agreement: float = AGREEMENT, gradient: Tensor | None = None
 ) -> DepthTerm:

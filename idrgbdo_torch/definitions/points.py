@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn.functional import conv2d, max_pool2d, pad
 
 from ..config import NoiseConfig, TrackingConfig
-from ..errors import IdRgbdoError
+from ..errors import IdRgbdoError, door
 from ..measurement import COARSE_BLUR, inverse_depth_sigma
 from .image import gradient, pyramid, sample_with_gradient
 from .photometric import PATTERN
@@ -33,6 +33,7 @@ class HostPoints:
     slope: Tensor | None = None  # (B, N, 2) 1/m per px of level 0, of the inverse depth over the patch; 0 if None
 
 
+@door
 def pick_points(gray: Tensor, depth: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """About `count` pixels uv (B, N, 2) with their inverse depths (B, N): the strongest gradient of each square cell.
 
@@ -61,6 +62,7 @@ def pick_points(gray: Tensor, depth: Tensor, count: int) -> tuple[Tensor, Tensor
     return torch.stack([u, v], dim=-1).double(), inverse_depth
 
 
+@door
 def host_points(
     gray: Tensor, uv: Tensor, inverse_depth: Tensor, *, sigma: float | Tensor | None = None,
     weight: Tensor | None = None, levels: int = TRACKED_LEVELS,
@@ -82,6 +84,7 @@ def host_points(
     return HostPoints(uv, inverse_depth, variance, tuple(patches), tuple(gradients), weight)
 
 
+@door
 def tracking_pyramid(gray: Tensor, levels: int) -> tuple[Tensor, ...]:
     """Halvings of gray (B, H, W), finest first, the coarse ones blurred so that texture does not alias there."""
     images = pyramid(gray, levels)

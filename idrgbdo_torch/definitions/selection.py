@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from ..config import SelectionConfig
-from ..errors import IdRgbdoError
+from ..errors import IdRgbdoError, door
 from ..measurement import GRADIENT_NOISE, Noise, Points, Rows
 from .camera import Pinhole, inside
 from .convert import Array, chosen, noise_of_arrays
@@ -70,6 +70,7 @@ def _factor(G: Tensor) -> Tensor:
     return torch.stack([L00, torch.zeros_like(L00), L10, L11], dim=-1).reshape(*G.shape)
 
 
+@door
 def select_rows(
     J: Tensor, count: int, *, sigma: Tensor | float = 1.0, information: Tensor | None = None,
     cells: Tensor | None = None, where: Tensor | None = None, distance: float = 0.0, radius: Tensor | None = None,

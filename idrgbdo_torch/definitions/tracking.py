@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from ..errors import IdRgbdoError
+from ..errors import IdRgbdoError, door
 from ..measurement import (
     FLOOR,
     PIXELS,
@@ -96,6 +96,7 @@ def prior_at(T_target_host: Tensor, information: Tensor | None = None, affine: T
     return Prior(T_target_host.double(), known.double().expand(B, 6, 6), brightness.double(), spread)
 
 
+@door
 def align_pairs(
     points: HostPoints, gray: Tensor, camera: Pinhole, *, depth: Tensor | None = None,
     T_guess: Tensor | Prior | None = None, noise: ResidualNoise | None = None, steps: Sequence[int] = STEPS,

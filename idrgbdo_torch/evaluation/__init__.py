@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..errors import door
 from ..trajectory import Trajectory
 from .absolute import ASSOCIATION_LIMIT_S, AbsoluteError, absolute_error
 from .hints import hints
@@ -39,6 +40,7 @@ class Evaluation:
     no_rpe: str = ""  # why there is none
 
 
+@door
 def evaluate(
     estimate: Trajectory,
     reference: Trajectory,

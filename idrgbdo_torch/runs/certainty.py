@@ -39,7 +39,10 @@ class Certainty:
     """
 
     def __init__(self) -> None:
-        self._known: dict[float, Array] = {}  # by time (s), (6, 6) covariance of a left increment of T_cam_world
+        # by time (s), (6, 6) covariance of a left increment of T_cam_world: of keyframes, of what others were measured
+        # against since the last, and of the newest frame
+        self._known: dict[float, Array] = {}
+        self._newest: float | None = None  # time (s) of the newest, which goes with the next unless that refers to it
         self._before: tuple[float, TrackResult] | None = None  # time (s) and result of the frame before
         self._keyframe: tuple[float, TrackResult] | None = None  # the same of the last keyframe
         self._corrections = deque([1.0] * BEFORE, maxlen=RECENT)  # squared, in variances; 1 is as expected
@@ -81,7 +84,10 @@ class Certainty:
             Ad = adjoint(inverse(result.T_ref_cam)).numpy()
             found = None if own is None else share * growth * own + Ad @ self._known[reference] @ Ad.T
         if found is not None:
+            if self._newest is not None and self._newest != reference:
+                self._known.pop(self._newest, None)
             self._known[record.timestamp] = found
+            self._newest = None if result.keyframe else record.timestamp
         if result.keyframe:
             self._keyframe = record.timestamp, result
         return found

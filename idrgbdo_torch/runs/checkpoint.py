@@ -3,10 +3,11 @@
 The whole odometry is written with the records so far, and the continuation then is the same to the last bit: window,
 prior, random numbers and velocity are all there. Starting anew at the last written pose would need no such file, but
 loses the window and the motion, and the poses differ from there on. 60 MB at 640x480, most of it the images of the
-window, take some 0.2 s to write; so one is written only when 30 times that has passed since the last: at most 3 % of
-the time is spent, and some seconds of work are done twice. The file is replaced in one step, so there is always a whole
-one. It ends with a checksum over everything before, which is compared before anything is believed, and holds data of
-known types alone (see tree.py): reading a stranger's checkpoint runs none of his code.
+window, take some 0.2 s to write, however long the run: what only grows is in a file beside it (see rows.py). One is
+written only when 30 times that has passed since the last: at most 3 % of the time is spent, and some seconds of work
+are done twice. The file is replaced in one step, so there is always a whole one. It ends with a checksum over
+everything before, which is compared before anything is believed, and holds data of known types alone (see tree.py):
+reading a stranger's checkpoint runs none of his code.
 """
 
 from __future__ import annotations
@@ -16,13 +17,16 @@ import json
 import mmap
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
 from ..config import Config, KeyframeConfig, NoiseConfig, SelectionConfig, TrackingConfig, WindowConfig
 from ..definitions.camera import Pinhole
+from ..definitions.growing import Column
 from ..definitions.marginalization import LinearPrior
+from ..definitions.records import Records
 from ..errors import IdRgbdoError
 from ..frame import Frame, Keyframe
 from ..measurement import Noise, Points, WindowPoints, WindowSystem
@@ -32,19 +36,20 @@ from ..tracker.backends import BACKENDS
 from ..tracker.features import Features
 from ..tracker.history import History
 from ..tracker.id_rgbdo import IdRgbdo
-from ..tracker.mapping import Cloud
+from ..tracker.mapping import Cloud, Kept
 from ..tracker.members import Members
 from ..tracker.motion import Motion
 from ..tracker.places import Place, Places
 from ..tracker.reference import Reference
-from ..tracker.smoothing import Departure
+from ..tracker.smoothing import Departure, Departures
 from ..tracker.tracking import Tracked
 from ..tracker.window import Window
+from .rows import PATTERN, RowsFile, read_chunk
 from .source import Source, difference
 from .tree import Codec
 
 NAME = "checkpoint.bin"
-MAGIC = b"idrgbdo checkpoint 2\n"  # the number is the format's
+MAGIC = b"idrgbdo checkpoint 3\n"  # the number is the format's
 SHARE = 30.0  # times what writing one takes, between two
 LEAST_S = 1.0  # between two
 DIGEST_BYTES = 32
@@ -53,7 +58,7 @@ TYPES = (  # what a state may be made of; a new type in the tracker's state has 
     Config, NoiseConfig, SelectionConfig, TrackingConfig, KeyframeConfig, WindowConfig,
     Pinhole, LinearPrior, Frame, Keyframe, Noise, Points, WindowPoints,
     WindowSystem, Features, Place, Places, Departure, Motion, Reference, History, Members,
-    Status, TrackResult, Record, ConstantVelocity, IdRgbdo, Cloud, Tracked, Window,
+    Status, TrackResult, Record, Records, Column, Departures, ConstantVelocity, IdRgbdo, Cloud, Kept, Tracked, Window,
 )  # fmt: skip
 CONSTANTS = {f"backend {name}": backend for name, backend in BACKENDS.items()}
 
@@ -99,7 +104,7 @@ class State:
     """What a run needs to go on."""
 
     odometry: Odometry
-    records: list[Record]
+    records: Sequence[Record]
     extras: list[Any]  # whatever else was collected on the way
 
 
@@ -116,6 +121,7 @@ class Checkpoints:
         self._path = folder / NAME
         self._identity = identity
         self._codec = Codec([*TYPES, *types], CONSTANTS)
+        self._rows = RowsFile(folder)
         self._due = monotonic() + LEAST_S
         self.problem = ""  # why the last one could not be written, a sentence
 
@@ -136,6 +142,7 @@ class Checkpoints:
         try:
             self._write(part, state)
             part.replace(self._path)
+            self._rows.forget_others()
         except OSError as error:
             part.unlink(missing_ok=True)
             raise IdRgbdoError(
@@ -145,8 +152,8 @@ class Checkpoints:
         self._due = end + max(LEAST_S, SHARE * (end - begin))
 
     def _write(self, path: Path, state: State) -> None:
-        tree, numbers = self._codec.write((state.odometry, state.records, state.extras))
-        text = json.dumps({"identity": asdict(self._identity), **tree}).encode()
+        tree, numbers = self._codec.write((state.odometry, state.records, state.extras), self._rows.keep)
+        text = json.dumps({"identity": asdict(self._identity), "rows": self._rows.path.name, **tree}).encode()
         digest = hashlib.sha256()
         with path.open("wb") as file:
             for piece in (MAGIC, len(text).to_bytes(COUNT_BYTES, "big"), text, *numbers):
@@ -157,6 +164,8 @@ class Checkpoints:
     def remove(self) -> None:
         """A finished run needs none."""
         self._path.unlink(missing_ok=True)
+        for path in self._path.parent.glob(PATTERN):
+            path.unlink(missing_ok=True)
 
 
 def load(folder: Path, identity: Identity, types: Sequence[type] = ()) -> State:
@@ -194,12 +203,13 @@ def _read(data: memoryview, path: Path, identity: Identity, codec: Codec) -> Sta
             f"resume: the run in '{path.parent}' has another {different}; repeat its flags or start anew"
         )
     try:
-        state = State(*codec.read(text, data[end:-DIGEST_BYTES]))
+        kept = partial(read_chunk, path.parent, str(text.get("rows")))
+        state = State(*codec.read(text, data[end:-DIGEST_BYTES], kept))
     except (IdRgbdoError, TypeError) as error:
         raise IdRgbdoError(f"resume: '{path}' cannot be read ({error}); run without --resume") from error
-    lists = isinstance(state.records, list) and isinstance(state.extras, list)
-    if not lists or not callable(getattr(state.odometry, "track", None)):
+    records, extras = state.records, state.extras
+    if not isinstance(extras, list) or not callable(getattr(state.odometry, "track", None)):
         raise IdRgbdoError(f"resume: '{path}' holds no state of a run; run without --resume")
-    if not all(isinstance(record, Record) for record in state.records):
+    if not isinstance(records, Records | list) or not all(isinstance(record, Record) for record in records):
         raise IdRgbdoError(f"resume: '{path}' holds something else than frames; run without --resume")
-    return state
+    return State(state.odometry, Records.of(records), extras)

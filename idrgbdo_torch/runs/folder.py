@@ -24,7 +24,7 @@ from ..odometry import Odometry, Record, Run, Status, lost_because
 from ..text.files import damage_named, read_table
 from ..tracker.inspection import Inspectable
 from ..tracker.mapping import ply_bytes
-from ..trajectory import TUM_HEADER, Trajectory, nearest, read_tum, tum_line, tum_text
+from ..trajectory import TUM_HEADER, Trajectory, in_time, nearest, read_tum, tum_line, tum_text
 from . import certainty
 from .machine import machine_name
 from .writing import Lines, lock, write_whole
@@ -106,7 +106,7 @@ class RunFolder:
         refined = odometry.trajectory()
         if is_refined(refined, run):
             write_whole(self.path / "trajectory_refined.txt", tum_text(refined))
-            times = [record.timestamp for record in run.records if record.result.keyframe]
+            times = sorted({record.timestamp for record in run.records if record.result.keyframe})
             if times:
                 self._keyframes.close()
                 write_whole(self.path / "keyframes.txt", tum_text(refined.at(_indices(refined, times))))
@@ -131,6 +131,8 @@ def _clear(path: Path, resumed: bool) -> None:
     for left in (*path.glob("*.part"), *path.glob("map_segment_*.ply")):
         left.unlink(missing_ok=True)
     if not resumed:
+        for left in path.glob("checkpoint_rows_*.bin"):
+            left.unlink(missing_ok=True)
         for name in ("trajectory.png", "frame_*.png"):
             for picture in (path / "figures").glob(name):
                 picture.unlink(missing_ok=True)
@@ -138,7 +140,7 @@ def _clear(path: Path, resumed: bool) -> None:
 
 def believable(trajectory: Trajectory, run: Run) -> Trajectory:
     """An odometry's trajectory without the frames that were lost."""
-    lost = torch.tensor([status is Status.LOST for status in run.statuses])
+    lost = torch.tensor([status is Status.LOST for status in run.statuses])[in_time(run.timestamps)]
     return trajectory.at(~lost[_indices(run.trajectory(), trajectory.timestamps.tolist())])
 
 

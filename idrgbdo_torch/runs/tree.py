@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..definitions.growing import Column
 from ..errors import IdRgbdoError
 
 SIMPLE = (type(None), bool, int, float, str)
@@ -27,6 +28,8 @@ DTYPES = {
 BROKEN = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, MemoryError, RuntimeError)
 DATACLASS = "__dataclass_fields__"
 Node = list[Any]
+Keep = Callable[[np.ndarray[Any, Any]], Any]  # what JSON can hold, of more than one part
+Kept = Callable[[Any], bytes]
 
 
 class Codec:
@@ -37,14 +40,20 @@ class Codec:
         self._types = {kind.__name__: kind for kind in types}
         self._constants = dict(constants or {})
 
-    def write(self, tree: object) -> tuple[dict[str, Any], list[bytes | memoryview]]:
-        """What JSON can hold, and the numbers. Raises IdRgbdoError for a type that is not in the table."""
-        writer = _Writer(self._types, self._constants)
+    def write(self, tree: object, keep: Keep | None = None) -> tuple[dict[str, Any], list[bytes | memoryview]]:
+        """What JSON can hold, and the numbers. Raises IdRgbdoError for a type that is not in the table.
+
+        keep: takes what never changes, the full chunks of columns, and gives what is written in their place.
+        """
+        writer = _Writer(self._types, self._constants, keep)
         return {"root": writer.reference(tree), "nodes": writer.nodes}, writer.numbers
 
-    def read(self, text: Mapping[str, Any], numbers: memoryview) -> Any:
-        """The tree. Raises IdRgbdoError where the text is not of this kind or asks for a type not in the table."""
-        reader = _Reader(self._types, self._constants, numbers)
+    def read(self, text: Mapping[str, Any], numbers: memoryview, kept: Kept | None = None) -> Any:
+        """The tree. Raises IdRgbdoError where the text is not of this kind or asks for a type not in the table.
+
+        kept: gives the bytes of what was kept apart.
+        """
+        reader = _Reader(self._types, self._constants, numbers, kept)
         try:
             for node in text["nodes"]:
                 reader.made.append(reader.make(node))
@@ -54,8 +63,9 @@ class Codec:
 
 
 class _Writer:
-    def __init__(self, types: Mapping[str, type], constants: Mapping[str, object]) -> None:
+    def __init__(self, types: Mapping[str, type], constants: Mapping[str, object], keep: Keep | None) -> None:
         self._types = types
+        self._keep = keep
         self._constants = {id(value): name for name, value in constants.items()}
         self._known: dict[int, int] = {}  # number of the node by the identity of what it holds
         self._alive: list[object] = []  # so that no identity is given twice
@@ -83,6 +93,9 @@ class _Writer:
             return [kind.__name__, [self.reference(item) for item in value]]
         if kind is dict:
             return ["dict", [[self.reference(key), self.reference(item)] for key, item in value.items()]]
+        if kind is Column:
+            full = [self._chunk(chunk) for chunk in value.full]
+            return ["column", value.dtype, list(value.shape), full, self.reference(value.last[: value.count].copy())]
         if kind is np.ndarray:
             return self._array("array", value)
         if isinstance(value, np.generic):
@@ -104,6 +117,9 @@ class _Writer:
         self.numbers.append(flat.reshape(-1).view(np.uint8).data)
         return [kind, array.dtype.name, list(array.shape), columns]
 
+    def _chunk(self, chunk: np.ndarray[Any, Any]) -> Any:
+        return self.reference(chunk) if self._keep is None else self._keep(chunk)
+
     def _parts(self, value: Any) -> Any:
         if isinstance(value, Enum):
             return value.name
@@ -114,8 +130,15 @@ class _Writer:
 
 
 class _Reader:
-    def __init__(self, types: Mapping[str, type], constants: Mapping[str, object], numbers: memoryview) -> None:
+    def __init__(
+        self,
+        types: Mapping[str, type],
+        constants: Mapping[str, object],
+        numbers: memoryview,
+        kept: Kept | None,
+    ) -> None:
         self._types = types
+        self._kept = kept
         self._constants = constants
         self._numbers = numbers
         self._position = 0
@@ -126,6 +149,7 @@ class _Reader:
             "tuple": lambda items: tuple(self.value(item) for item in items),
             "dict": lambda items: {self.value(key): self.value(item) for key, item in items},
             "array": self._array,
+            "column": self._column,
             "scalar": lambda *node: self._array(*node)[()],
             "tensor": lambda *node: torch.from_numpy(self._array(*node)).clone(),  # in memory that torch has aligned
             "generator": self._generator,
@@ -152,6 +176,26 @@ class _Reader:
         flat = np.frombuffer(self._numbers[self._position : end], dtype=DTYPES[dtype])
         self._position = end
         return flat.reshape(shape[::-1]).copy().T if columns else flat.reshape(shape).copy()
+
+    def _column(self, dtype: str, shape: list[int], full: list[Any], last: Any) -> Column:
+        column = Column(DTYPES[dtype].name, tuple(shape))
+        whole = (column.rows, *column.shape)
+        for chunk in full:
+            array = self.made[chunk[0]] if len(chunk) == 1 else self._apart(chunk, dtype, whole)
+            if array.shape != whole or array.dtype != DTYPES[dtype]:
+                raise ValueError(f"a chunk of shape {array.shape}")
+            array.flags.writeable = False
+            column.full.append(array)
+        rest = self.value(last)
+        if rest.dtype != DTYPES[dtype]:
+            raise ValueError(f"entries of {rest.dtype}")
+        column.extend(rest)
+        return column
+
+    def _apart(self, chunk: Any, dtype: str, shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
+        if self._kept is None:
+            raise ValueError("a chunk that was kept apart")
+        return np.frombuffer(self._kept(chunk), dtype=DTYPES[dtype]).reshape(shape).copy()
 
     def _generator(self, state: Any) -> np.random.Generator:
         generator = np.random.default_rng()

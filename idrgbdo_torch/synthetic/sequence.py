@@ -75,7 +75,7 @@ class RenderedSequence:
             depth=torch.from_numpy(depth),
             camera=self.camera,
             color=torch.from_numpy(shot.color),
-        )
+        ).owned()
 
     @cached_property
     def camera(self) -> Pinhole:

@@ -10,6 +10,7 @@ import json
 import types
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -77,15 +78,22 @@ def merge(defaults: T, data: Mapping[str, Any], where: str = "") -> T:
     return replace(defaults, **changes)
 
 
-def check(config: DataclassInstance, where: str = "") -> None:
-    """Raise IdRgbdoError for the first field whose value does not fit its type or its bounds."""
+def check(config: T, where: str = "") -> T:
+    """The same tree with whole numbers as floats where those are meant.
+
+    Raises IdRgbdoError for the first field whose value does not fit its type or its bounds.
+    """
+    if not is_dataclass(config) or isinstance(config, type):
+        raise IdRgbdoError(
+            f"{where or 'config'}: expected a configuration, got {config!r:.40}; change fields of Config()"
+        )
     hints = get_type_hints(type(config), include_extras=True)
+    fitting: dict[str, Any] = {}
     for item in fields(config):
-        value = getattr(config, item.name)
-        if is_dataclass(value) and not isinstance(value, type):
-            check(value, f"{where}{item.name}.")
-        else:
-            _checked(hints[item.name], value, f"{where}{item.name}")
+        value, hint = getattr(config, item.name), hints[item.name]
+        tree = is_dataclass(value) and (type(value) is hint or not is_dataclass(hint))
+        fitting[item.name] = (check if tree else partial(_checked, hint))(value, f"{where}{item.name}{'.' * tree}")
+    return replace(config, **fitting)
 
 
 def dump(config: DataclassInstance) -> str:

@@ -41,7 +41,9 @@ def extract_candidates(frame: Frame, config: Config, rng: Generator, backend: Ba
         return uv[keep], inv_depth[keep]
     gradient2 = backend.gradient_squared(frame.images[0])
     thresholds = backend.block_thresholds(gradient2, BLOCK, THRESHOLD_OFFSET)
-    edges = cv2.Canny(frame.images[0].astype(np.uint8), *CANNY, L2gradient=True)
+    with np.errstate(invalid="ignore"):  # of pixels that are no numbers
+        pixels = frame.images[0].astype(np.uint8)
+    edges = cv2.Canny(pixels, *CANNY, L2gradient=True)
     everywhere = max(LEAST, min(EVERYWHERE, min(width, height) // ROWS))
     grid = max(everywhere, round(float(np.sqrt(width * height / config.candidates))))
     cell = everywhere if mode == "inf" else grid

@@ -52,7 +52,8 @@ def features(frame: Frame, level: int) -> Features:
     z = frame.depth[at_full[:, 1].clip(0, height - 1), at_full[:, 0].clip(0, width - 1)]
     fx, fy, cx, cy = frame.intrinsics[level]
     P = np.column_stack([(uv[:, 0] - cx) / fx * z, (uv[:, 1] - cy) / fy * z, z])
-    return Features(uv, descriptor, P.astype(np.float32))
+    with np.errstate(over="ignore"):  # of depth that is none
+        return Features(uv, descriptor, P.astype(np.float32))
 
 
 def match(host: Features, target: Features) -> NDArray[np.int64]:

@@ -76,7 +76,9 @@ class Fused:
     def select(self, rows: Rows, radius: Array, m: int, information: Array, config: SelectionConfig) -> Array:
         if config.objective != "bits":  # such as |Lambda| of about 1e41: only the definition has them
             return select_by_definition(rows, radius, m, information, config)
-        out: Array = selection.select(rows, radius, m, information, config.spread, config.c_z, config.distance)
+        out: Array = selection.select(
+            rows, radius, m, information, float(config.spread), float(config.c_z), config.distance
+        )
         return out
 
     def align(

@@ -9,34 +9,41 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..definitions.growing import Column
 from ..frame import Keyframe
 from ..kernels.se3 import inverse
-from ..trajectory import Trajectory
+from ..trajectory import Trajectory, timed
 from .backends import Backend
-from .mapping import NOTHING, Cloud, condense, keyframe_cloud, world_cloud
+from .mapping import LIMIT, NOTHING, Cloud, Kept, condense, keyframe_cloud, world_cloud
 from .places import APART, Places
-from .smoothing import Departure, between, smooth_keyframes
+from .smoothing import Departure, Departures, between, smooth_keyframes
 
 Array = NDArray[np.float64]
+
+KEPT_NOTHING = Kept.of(NOTHING)
+
+
+def pose_column() -> Column:
+    """Of poses (4, 4)."""
+    return Column("float64", (4, 4))
 
 
 @dataclass
 class History:
     """What was tracked. Frames keep their pose against a keyframe; keyframes move while the window refines them."""
 
-    times: list[float] = field(default_factory=list)  # s, of every frame
-    references: list[int] = field(default_factory=list)  # number of the keyframe of every frame, -1 before the first
-    T_cam_kf: list[Array] = field(default_factory=list)  # (4, 4) of every frame against it
-    keyframe_times: list[float] = field(default_factory=list)
-    keyframe_poses: list[Array] = field(default_factory=list)  # (4, 4) T_kf_world, as it stood in the window at last
-    tracked: list[Array | None] = field(default_factory=list)  # T_kf_previous as tracked; None where a segment starts
-    departures: list[tuple[int, tuple[int, ...], Departure]] = field(
-        default_factory=list
-    )  # who stayed, and how it left
+    times: Column = field(default_factory=lambda: Column("float64"))  # s, of every frame
+    references: Column = field(default_factory=lambda: Column("int64"))  # its keyframe's number, -1 before the first
+    T_cam_kf: Column = field(default_factory=pose_column)  # of every frame against it
+    keyframe_times: Column = field(default_factory=lambda: Column("float64"))
+    keyframe_poses: Column = field(default_factory=pose_column)  # T_kf_world, as it stood in the window at last
+    tracked: Column = field(default_factory=pose_column)  # T_kf_previous as tracked; NaN where a segment starts
+    departures: Departures = field(default_factory=Departures)
     in_window: list[int] = field(default_factory=list)  # numbers of the keyframes that still move, oldest first
-    clouds: list[Cloud] = field(default_factory=list)  # map points of every keyframe that has left the window
+    clouds: list[Kept] = field(default_factory=list)  # map points of every keyframe that has left the window
+    points: int = 0  # of all clouds
     segment: int = 0  # in which the camera is; a new one begins where a lost track starts anew
-    segments: list[int] = field(default_factory=list)  # of every keyframe, until it joins an earlier one
+    segments: Column = field(default_factory=lambda: Column("int64"))  # of keyframes, until they join an earlier one
     places: Places = field(default_factory=Places)  # where a lost frame may be found again
 
     def add_frame(self, timestamp: float, T_cam_kf: Array) -> None:
@@ -50,9 +57,10 @@ class History:
     ) -> None:
         """A keyframe as tracked against the one before, None where it was not; its cloud where no window refines it."""
         self.keyframe_times.append(timestamp)
-        self.tracked.append(T_kf_previous)
+        self.tracked.append(np.nan if T_kf_previous is None else T_kf_previous)
         self.keyframe_poses.append(T_kf_world)
-        self.clouds.append(cloud)
+        self.clouds.append(Kept.of(cloud) if len(cloud) else KEPT_NOTHING)
+        self.points += len(cloud)
         self.segments.append(self.segment)
 
     def new_segment(self) -> int:
@@ -78,14 +86,18 @@ class History:
     def leave(self, place: int, keyframe: Keyframe, departure: Departure | None = None) -> None:
         """The keyframe at this place of the window is refined no more, but may follow those that stay."""
         number = self.in_window.pop(place)
-        self.clouds[number] = keyframe_cloud(keyframe)
+        self.clouds[number] = Kept.of(keyframe_cloud(keyframe))
+        self.points += len(self.clouds[number].xyz)
         if departure is not None:
-            self.departures.append((number, tuple(self.in_window), departure))
+            self.departures.append(number, self.in_window, departure)
 
     def condense(self) -> None:
         """Keep the map within its bounds."""
-        moving = {*self.in_window, *(n for n, segment in enumerate(self.segments) if segment != 0)}
-        self.clouds = condense(self.clouds, self.keyframe_poses, moving)
+        if self.points > LIMIT:
+            moving = {*self.in_window, *(n for n, segment in enumerate(self.segments) if segment != 0)}
+            clouds = condense([kept.cloud() for kept in self.clouds], self.keyframe_poses, moving, LIMIT)
+            self.clouds = [Kept.of(cloud) if len(cloud) else KEPT_NOTHING for cloud in clouds]
+            self.points = sum(map(len, clouds))
 
     def join(self, segment: int, T_segment_world: Array) -> None:
         """The present segment's world lies at this pose (4, 4) in that of an earlier one: it becomes part of it."""
@@ -93,10 +105,7 @@ class History:
         for number in mine:
             self.keyframe_poses[number] = self.keyframe_poses[number] @ T_segment_world
             self.segments[number] = segment
-        for k, (number, others, left) in enumerate(self.departures):
-            if number in mine:
-                moved = left._replace(T=left.T @ T_segment_world, T_others=left.T_others @ T_segment_world)
-                self.departures[k] = (number, others, moved)
+        self.departures.move_world(mine, T_segment_world)
         self.segment = segment
 
     def trajectory(self) -> Trajectory:
@@ -104,23 +113,26 @@ class History:
         keyframes = smooth_keyframes(self.keyframe_poses, self.departures)
         poses = [inverse(self._frame_pose(number, keyframes)) for number in range(len(self.times))]
         stacked = np.array(poses).reshape(-1, 4, 4)
-        return Trajectory(torch.tensor(self.times, dtype=torch.float64), torch.from_numpy(stacked))
+        return timed(torch.from_numpy(self.times.array()), torch.from_numpy(stacked))
 
     def _frame_pose(self, number: int, keyframes: list[Array]) -> Array:
         """T_cam_world of a frame, given those of all keyframes."""
-        T_cam_kf, kf = self.T_cam_kf[number], self.references[number]
+        kf = self.references[number]
+        T_cam_kf: Array = self.T_cam_kf[number]
         if kf < 0:
-            return T_cam_kf @ (keyframes[0] if keyframes else np.eye(4))
+            T_first: Array = T_cam_kf @ (keyframes[0] if keyframes else np.eye(4))
+            return T_first
         T_next_kf = self.tracked[kf + 1] if kf + 1 < len(keyframes) else None
-        if T_next_kf is None:
-            return T_cam_kf @ keyframes[kf]
+        if T_next_kf is None or np.isnan(T_next_kf[0, 0]):
+            T_cam_world: Array = T_cam_kf @ keyframes[kf]
+            return T_cam_world
         gone, gap = self.times[number] - self.keyframe_times[kf], self.keyframe_times[kf + 1] - self.keyframe_times[kf]
         share = min(max(gone / gap, 0.0), 1.0) if gap > 0.0 else 1.0
         return between(T_cam_kf, keyframes[kf], T_next_kf, keyframes[kf + 1], share)
 
     def maps(self, window: Sequence[Keyframe]) -> dict[int, Cloud]:
         """By segment, the candidate points of its keyframes in the world, given those that are still in the window."""
-        clouds = list(self.clouds)
+        clouds = [kept.cloud() for kept in self.clouds]
         for number, keyframe in zip(self.in_window, window, strict=True):
             clouds[number] = keyframe_cloud(keyframe)
         poses = smooth_keyframes(self.keyframe_poses, self.departures)

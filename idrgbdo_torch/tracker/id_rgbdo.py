@@ -9,12 +9,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..config import Config
+from ..config import Config, checked
+from ..definitions.given import rigid
 from ..frame import Frame, Keyframe, RgbdFrame, check_next, prepare
 from ..kernels.se3 import inverse
 from ..measurement import Noise, State, kernel_noise, with_blur
 from ..odometry import Status, TrackResult
-from ..text import configfile
 from ..trajectory import Trajectory
 from .alignment import align, displacement
 from .backends import backend_named
@@ -46,18 +46,18 @@ class IdRgbdo:
 
     def __init__(self, config: Config | None = None, *, compile_ahead: bool = True) -> None:
         """compile_ahead: compile the kernels now if they are not in the cache (seconds, with a notice; see warmup)."""
-        self.config = config or Config()
-        configfile.check(self.config)
+        self.config = checked(config)
         self.noise = kernel_noise(self.config.noise, self.config.tracking.patch)
         self.backend = backend_named(self.config.backend)
         self.reset()
         if compile_ahead and self.config.backend == "fused":
-            warm_up(lambda: IdRgbdo(compile_ahead=False))
+            warm_up(lambda config: IdRgbdo(config, compile_ahead=False))
 
     def reset(self, T_world_cam: Tensor | None = None) -> None:
         """Forget everything; the next frame gets the pose T_world_cam (identity by default)."""
+        start = rigid("T_world_cam", T_world_cam).numpy()
+        self.motion = Motion.at(start if T_world_cam is None else inverse(start))
         self.rng = np.random.default_rng(self.config.seed)
-        self.motion = Motion.at(np.eye(4) if T_world_cam is None else inverse(T_world_cam.double().numpy()))
         self.reference: Reference | None = None
         self.window = Window(self.config, self.noise, self.backend)
         self.history = History()
@@ -241,8 +241,8 @@ class IdRgbdo:
         self.window.move_world(T_segment_world)
         self.motion.move_world(T_segment_world)
         reference.T_kf_world = reference.T_kf_world @ T_segment_world
-        pose = torch.from_numpy(inverse(self.motion.T_cam_world))
-        return replace(result, T_world_cam=pose, status=Status.WEAK, reason=reason, segment=segment)
+        T_world_cam = torch.from_numpy(inverse(self.motion.T_cam_world))
+        return replace(result, T_world_cam=T_world_cam, status=Status.WEAK, reason=reason, segment=segment)
 
     def _lost(self, frame: Frame, reason: str) -> TrackResult:
         """Stay where we were and say so; after too many such frames begin anew, with this one."""
@@ -297,4 +297,4 @@ class IdRgbdo:
             return point_bits(keyframe, tracked.T_frame_kf, everyone, self.noise, self.backend)[0]
         own = self.reference.keyframe if self.reference else None
         shown = own is not None and own.frame.timestamp == self.history.times[-1]
-        return torch.from_numpy(own.points.uv) if own and shown else torch.zeros(0, 2, dtype=torch.float64)
+        return torch.tensor(own.points.uv) if own and shown else torch.zeros(0, 2, dtype=torch.float64)

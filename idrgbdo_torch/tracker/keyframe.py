@@ -47,7 +47,8 @@ def wants_keyframe(history: list[Array], config: KeyframeConfig) -> bool:
     first.sort(axis=0)
     reference = first[(len(first) - 1) // 2]  # the lower median
     if config.criterion == "bits":  # lost_certainty in numpy: this runs for every frame
-        return bool((history[-1] - reference).max() > config.threshold_bits)
+        with np.errstate(invalid="ignore"):  # infinite then and now is no change
+            return bool((history[-1] - reference).max() > config.threshold_bits)
     lost = lost_certainty(torch.from_numpy(history[-1]), torch.from_numpy(reference), config.criterion)
     return bool(lost.max() > config.threshold_ratio)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..definitions.camera import Pinhole
+from ..definitions.growing import Column
 from ..frame import Keyframe
 from .open3d_loader import load_open3d
 
 Array = NDArray[np.float64]
 
-LIMIT = 1_000_000  # points kept, 51 bytes each
+LIMIT = 500_000  # points kept, 25 bytes each
 FIRST_VOXEL = 0.005  # m, side of the cubes in which points are merged once there are more; doubled as often as needed
 REACH = 3  # px between a point and the neighbours that its normal is taken from
+UNIT = 32767  # of a kept normal, its length
 SMOOTH = 0.05  # relative difference in depth above which a neighbour belongs to another surface
 
 
@@ -46,6 +48,34 @@ class Cloud:
 
 
 NOTHING = Cloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.float32))
+
+
+class Kept(NamedTuple):
+    """A cloud in half the memory: normals to 16 bits, and the keyframe's time once."""
+
+    xyz: NDArray[np.float32]  # (N, 3) m
+    rgb: NDArray[np.uint8]  # (N, 3)
+    normal: NDArray[np.int16]  # (N, 3) in units of 1 / UNIT
+    uv: NDArray[Any] | None  # (N, 2) px in the keyframe; None where unknown
+    time: float  # s, of the keyframe
+
+    @staticmethod
+    def of(cloud: Cloud) -> Kept:
+        """Of a keyframe's cloud, or of one without origins."""
+        normal = np.rint(cloud.normal * UNIT).astype(np.int16)
+        if cloud.origin is None or not len(cloud):
+            return Kept(cloud.xyz, cloud.rgb, normal, None, 0.0)
+        uv = cloud.origin[:, 1:]
+        whole = uv.astype(np.uint16)
+        exact = np.array_equal(whole, uv)  # as those of nearly all candidates are
+        return Kept(cloud.xyz, cloud.rgb, normal, whole if exact else uv.astype(np.float32), float(cloud.origin[0, 0]))
+
+    def cloud(self) -> Cloud:
+        """As a cloud."""
+        normal = self.normal.astype(np.float32) / np.float32(UNIT)
+        if self.uv is None:
+            return Cloud(self.xyz, self.rgb, normal)
+        return Cloud(self.xyz, self.rgb, normal, np.column_stack([np.full(len(self.uv), self.time), self.uv]))
 
 
 def keyframe_cloud(keyframe: Keyframe) -> Cloud:
@@ -109,7 +139,7 @@ def together(clouds: Iterable[Cloud]) -> Cloud:
 
 
 def condense(
-    clouds: list[Cloud], T_kf_world: Sequence[Array], moving: Collection[int], limit: int = LIMIT
+    clouds: list[Cloud], T_kf_world: Column | Sequence[Array], moving: Collection[int], limit: int = LIMIT
 ) -> list[Cloud]:
     """The same clouds, or, where they hold more than `limit` points together, fewer points at the same places.
 

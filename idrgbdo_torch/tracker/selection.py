@@ -77,8 +77,9 @@ def point_bits(
     Unlike the gain at its choice, this does not depend on the order: what would be lost without that one point.
     """
     found = backend.whitened_rows(keyframe.frame.camera, 0.0, keyframe.points, index, T_frame_kf, noise)
-    rows = torch.from_numpy(found.A[found.seen])  # (M, 3, 6)
+    seen = found.seen & np.isfinite(found.A).all(axis=(1, 2))  # a point at a depth of 1e-45 m has no finite rows
+    rows = torch.from_numpy(found.A[seen])  # (M, 3, 6)
     each = rows.mT @ rows  # (M, 6, 6)
     everything = each.sum(dim=0)
     floor = torch.diag(1e-6 * everything.diagonal())  # so that few points leave a matrix to invert
-    return torch.from_numpy(found.where[found.seen]), gain_bits(rows, everything + floor - each)
+    return torch.from_numpy(found.where[seen]), gain_bits(rows, everything + floor - each)

@@ -5,13 +5,14 @@ Only for what is asked at the end of a run: a causal pose never changes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..definitions.growing import Column
 from ..definitions.marginalization import scaled_solve
 from ..kernels.se3 import inverse, log_se3, retract
 
@@ -38,6 +39,43 @@ def departure(T: Array, information: Array, k: int) -> Departure:
     return Departure(T[k].copy(), np.delete(T, k, axis=0), follows)
 
 
+class Departures:
+    """Of many keyframes, in the order of leaving: who left, who stayed, and how it left."""
+
+    def __init__(self, stayed: int = 0) -> None:
+        """stayed: how many stay when one leaves."""
+        self._numbers = Column("int32", (1 + stayed,))  # of the keyframe, then of those that stayed
+        self._T = Column("float64", (1 + stayed, 3, 4))  # without the row 0 0 0 1
+        self._follows = Column("float64", (6 * stayed, 6))  # by columns, as they come: sums keep their order
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    def append(self, number: int, others: Sequence[int], left: Departure) -> None:
+        """One more; of all as many stayed."""
+        if not len(self):
+            self.__init__(len(others))  # type: ignore[misc]
+        self._numbers.append((number, *others))
+        self._T.append(np.concatenate([left.T[None], left.T_others])[:, :3])
+        self._follows.append(left.follows.T)
+
+    def __getitem__(self, k: int) -> tuple[int, list[int], Departure]:
+        number, *others = self._numbers[k].tolist()
+        T = np.tile(np.eye(4), (1 + len(others), 1, 1))
+        T[:, :3] = self._T[k]
+        return number, others, Departure(T[0], T[1:], self._follows[k].T)
+
+    def __reversed__(self) -> Iterator[tuple[int, list[int], Departure]]:
+        return (self[k] for k in reversed(range(len(self))))
+
+    def move_world(self, numbers: Collection[int], T_old_new: Array) -> None:
+        """See those keyframes from another world, which lies at this pose (4, 4) in the old one."""
+        for k in range(len(self)):
+            if self._numbers[k][0] in numbers:
+                _, _, left = self[k]
+                self._T[k] = np.concatenate([left.T[None] @ T_old_new, left.T_others @ T_old_new])[:, :3]
+
+
 def followed(left: Departure, T_others: Array) -> Array:
     """(4, 4) pose of a keyframe that left, now that those that had stayed are at T_others (K - 1, 4, 4)."""
     moved = [log_se3(now @ inverse(then)) for now, then in zip(T_others, left.T_others, strict=True)]
@@ -45,7 +83,7 @@ def followed(left: Departure, T_others: Array) -> Array:
     return pose
 
 
-def smooth_keyframes(poses: Sequence[Array], departures: Sequence[tuple[int, Sequence[int], Departure]]) -> list[Array]:
+def smooth_keyframes(poses: Iterable[Array], departures: Departures) -> list[Array]:
     """T_kf_world of all keyframes, given those of the window as they are now.
 
     departures: in the order of leaving, the number of the keyframe, the numbers of those that stayed, and how it left.

@@ -1,4 +1,9 @@
-"""Compiles the kernels before the first frame, with a notice, instead of during the first frames, without one."""
+"""Has the kernels compiled before the first frame, with a notice, instead of during the first frames, without one.
+
+Processes of their own compile them, and this one then loads what those have kept: a process that compiled a kernel
+itself links it otherwise than one that loads it, and sums then differ in the last bit. So the first run after an
+installation gives the same bits as every later one.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +13,14 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from itertools import islice
+from threading import get_ident
 
 import cv2
 import numpy as np
 import torch
 from numba.core.event import Event, Listener, install_listener
 
-from ..config import Config
+from ..config import Config, KeyframeConfig, SelectionConfig, WindowConfig
 from ..definitions.camera import Pinhole
 from ..frame import Keyframe, RgbdFrame, prepare
 from ..kernels.tracking import align
@@ -27,30 +33,88 @@ NOTICE = "compiling the kernels, some 15 s, once; they are kept for later proces
 FRAMES = 12
 STEP = 6  # px that the image moves from frame to frame
 DEPTH_M = 1.5
+EAGER = KeyframeConfig(threshold_bits=1e-3)  # so that the window is full after some frames, and keyframes leave it
+CONFIGS = (  # which together use every kernel that any configuration does
+    Config(keyframe=EAGER, window=WindowConfig(keyframes=3)),
+    Config(keyframe=EAGER, window=WindowConfig(keyframes=3, removal="information"), selection=SelectionConfig("rand")),
+)
+ALL = """
+from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
+from idrgbdo_torch.tracker.warmup import compile_all
+compile_all(lambda config: IdRgbdo(config, compile_ahead=False))
+"""
+WINDOW = "from idrgbdo_torch.tracker.warmup import compile_window; compile_window()"
 
 log = logging.getLogger("idrgbdo_torch")
+Make = Callable[[Config], Odometry]
 
 
-def warm_up(make: Callable[[], Odometry], on_function: Callable[[], None] | None = None) -> None:
-    """Compile every kernel, or load it from the cache, unless this process has done so.
+class Missing(Exception):
+    """A kernel is not in the cache."""
 
-    make: the odometry whose kernels they are; it tracks some tiny frames. Where something has to be compiled,
+
+def warm_up(make: Make, on_function: Callable[[], None] | None = None) -> None:
+    """Load every kernel from the cache, where it is compiled into if it is not there, unless this process has done so.
+
+    make: an odometry of a configuration; each tracks some tiny frames. Where something has to be compiled,
     on_function is called for every function of the kernels; without it a warning is logged, which Python shows on
     stderr unless told otherwise. Loading takes some 0.3 s.
     """
     if align.signatures:
         return
-    odometry = make()
-    notice = Notice(on_function)
-    with install_listener("numba:compile", notice):
+    missing = ""
+    while (found := first_missing(make)) not in ("", missing):
+        if not missing and on_function is None:
+            log.warning(NOTICE)
+        missing = found
+        if (process := python(ALL)) is not None and process.stdout is not None:
+            for _ in process.stdout:
+                if on_function is not None:
+                    on_function()
+            process.wait()
+    if found:  # they cannot be kept, or no process can be started: this one compiles
+        with install_listener("numba:compile", Telling(on_function)):
+            track_films(make)
+
+
+def first_missing(make: Make) -> str:
+    """The first kernel that is not in the cache; empty where all are, and are loaded now."""
+    try:
+        with install_listener("numba:compile", Refusal()):
+            track_films(make)
+    except Missing as missing:
+        return str(missing)
+    return ""
+
+
+def compile_all(make: Make) -> None:
+    """Compile what is not in the cache, with the help of a second process, which takes what only the window needs.
+
+    numba compiles one function at a time in a process; the window's take a third of the time.
+    """
+    other = python(WINDOW) if (os.cpu_count() or 1) > 1 else None
+
+    def tell() -> None:
+        sys.stdout.write("\n")  # the process that waits reads lines
+        sys.stdout.flush()
+
+    with install_listener("numba:compile", Telling(tell)):
+        # if the other fails, its share is compiled here after all
+        track_films(make, lambda: other.communicate() if other is not None else None)
+
+
+def track_films(make: Make, before_window: Callable[[], object] = lambda: None) -> None:
+    """Track the tiny film with every configuration."""
+    for config in CONFIGS:
+        odometry = make(config)
         for number, frame in enumerate(tiny_film()):
             if number == 2:  # about to need the window
-                notice.wait()
+                before_window()
             odometry.track(frame)
 
 
 def compile_window() -> None:
-    """Compile what only the window needs; for a second process, beside the one that compiles the rest."""
+    """Compile what only the window needs."""
     config = Config()
     window = Window(config, kernel_noise(config.noise, config.tracking.patch), backend_named(config.backend))
     none, no_index = np.zeros(0), np.zeros(0, np.int64)
@@ -62,43 +126,46 @@ def compile_window() -> None:
     window.optimise()
 
 
-class Notice(Listener):  # type: ignore[misc]  # numba has no types
-    """Says once that kernels are compiled, and has the window's compiled by a second process meanwhile.
+def python(script: str) -> subprocess.Popen[bytes] | None:
+    """A process that runs a script with this one's modules; None where there can be none."""
+    if getattr(sys, "frozen", False) or not sys.executable:  # what could be started is another program
+        return None
+    script = f"import sys; sys.path[:] = {sys.path!r}\n{script}"
+    nowhere = subprocess.DEVNULL
+    try:
+        return subprocess.Popen([sys.executable, "-c", script], stdin=nowhere, stdout=subprocess.PIPE, stderr=nowhere)
+    except OSError:
+        return None
 
-    numba compiles one function at a time in a process; the window's take a third of the time.
-    """
 
-    def __init__(self, on_function: Callable[[], None] | None = None) -> None:
+class Telling(Listener):  # type: ignore[misc]  # numba has no types
+    """Calls for every function that is compiled, where there is something to call."""
+
+    def __init__(self, on_function: Callable[[], None] | None) -> None:
         self._on_function = on_function
-        self._said = False
-        self._other: subprocess.Popen[bytes] | None = None
 
     def on_start(self, event: Event) -> None:
         """A function that is not in the cache."""
         if self._on_function is not None:
             self._on_function()
-        if self._said:
-            return
-        self._said = True
-        if self._on_function is None:
-            log.warning(NOTICE)
-        if (os.cpu_count() or 1) > 1:
-            script = "from idrgbdo_torch.tracker.warmup import compile_window; compile_window()"
-            # if it fails, its share is compiled here after all
-            self._other = subprocess.Popen(
-                [sys.executable, "-c", script],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )
 
     def on_end(self, event: Event) -> None:
         """It is compiled."""
 
-    def wait(self) -> None:
-        """Until the second process is done."""
-        if self._other is not None:
-            self._other.wait()
+
+class Refusal(Listener):  # type: ignore[misc]  # numba has no types
+    """Raises Missing where the thread that made it is about to compile a function."""
+
+    def __init__(self) -> None:
+        self._thread = get_ident()
+
+    def on_start(self, event: Event) -> None:
+        """A function that is not in the cache."""
+        if get_ident() == self._thread:
+            raise Missing(str(event.data["dispatcher"]))
+
+    def on_end(self, event: Event) -> None:
+        """It is compiled."""
 
 
 def tiny_film() -> Iterator[RgbdFrame]:

@@ -157,7 +157,7 @@ def test_the_demo_shows_progress_while_it_renders_and_compiles_and_how_to_go_on(
         "from numba import njit; from numba.core.event import install_listener\n"
         "from idrgbdo_torch.tracker import warmup\n"
         "def few(make, on_function=None):  # one kernel that is in no cache, where the others may be\n"
-        "    with install_listener('numba:compile', warmup.Notice(on_function)): njit(lambda x: x + 1)(1)\n"
+        "    with install_listener('numba:compile', warmup.Telling(on_function)): njit(lambda x: x + 1)(1)\n"
         "warmup.warm_up = few\n"
         "sys.exit(main(['demo']))"
     )

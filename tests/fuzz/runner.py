@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from . import checkpoints, downloads, folders, kills, readers
+from . import checkpoints, doors, downloads, folders, frames, kills, readers
 from .promise import Attack, limits
 
 ATTACKS: Mapping[str, Attack] = {
@@ -31,7 +31,11 @@ ATTACKS: Mapping[str, Attack] = {
     "settings": Attack(readers.settings),
     "poses": Attack(readers.poses),
     "run tables": Attack(readers.run_tables),
-    "killed": Attack(kills.killed, every=22, most_s=600),
+    "hostile frames": Attack(frames.hostile_frames, most_s=60, ready=frames.undisturbed),
+    "hostile poses": Attack(frames.hostile_poses, most_s=60, ready=frames.undisturbed),
+    "doors": Attack(doors.doors, most_s=60, ready=doors.calls),
+    "files": Attack(doors.files),
+    "killed": Attack(kills.killed, every=10, most_s=600),
 }
 
 

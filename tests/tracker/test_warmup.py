@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import shutil
 import subprocess
 import sys
+import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import torch
 from numba import njit
 from numba.core.event import install_listener
+from torch import Tensor
 
 from idrgbdo_torch import kernels
-from idrgbdo_torch.odometry import Status
+from idrgbdo_torch.frame import RgbdFrame
+from idrgbdo_torch.odometry import Status, TrackResult
 from idrgbdo_torch.tracker import warmup
 from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
+from idrgbdo_torch.trajectory import Trajectory
 
 INNER = "from .compiled import kernel\n@kernel\ndef inner(x):\n    return x + {}\n"
 OUTER = "from .compiled import kernel\nfrom .inner import inner\n@kernel\ndef outer(x):\n    return 2 * inner(x)\n"
@@ -59,15 +64,42 @@ def test_kernels_work_where_nothing_can_be_kept(package: Path) -> None:
     assert python(CALL, path=package, **nowhere) == "4 0"
 
 
-def test_the_notice_comes_once_and_only_where_something_is_compiled(caplog: pytest.LogCaptureFixture) -> None:
-    first, second = njit(lambda x: x + 1), njit(lambda x: x + 2)
-    with caplog.at_level(logging.WARNING), install_listener("numba:compile", warmup.Notice()):
-        assert first(1) + second(1) == 5
-    assert [record.getMessage() for record in caplog.records] == [warmup.NOTICE]
-    caplog.clear()
-    with install_listener("numba:compile", warmup.Notice()):
-        assert first(1) == 2
-    assert not caplog.records
+class Calling:
+    """An odometry that calls a kernel with every frame."""
+
+    name = "calling"
+
+    def __init__(self, kernel: Callable[[int], int]) -> None:
+        self.kernel = kernel
+
+    def reset(self, T_world_cam: Tensor | None = None) -> None: ...
+
+    def track(self, frame: RgbdFrame) -> TrackResult:
+        self.kernel(1)
+        return TrackResult(torch.eye(4, dtype=torch.float64), Status.OK)
+
+    def trajectory(self) -> Trajectory:
+        raise NotImplementedError
+
+
+def test_what_is_missing_is_found_without_compiling_it() -> None:
+    kernel = njit(lambda x: x + 1)
+    assert "lambda" in warmup.first_missing(lambda config: Calling(kernel)) and not kernel.signatures
+    other = threading.Thread(target=njit(lambda x: x + 2), args=(1,))
+    with install_listener("numba:compile", warmup.Refusal()):
+        other.start()
+        other.join()  # whatever other threads compile is theirs
+    assert kernel(1) == 2
+    assert warmup.first_missing(lambda config: Calling(kernel)) == ""
+
+
+def test_a_process_has_the_modules_of_this_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "only_here.py").touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    process = warmup.python("import only_here, idrgbdo_torch")
+    assert process is not None and process.wait() == 0
+    monkeypatch.setattr(sys, "executable", "")
+    assert warmup.python("pass") is None
 
 
 def test_the_tiny_film_can_be_tracked() -> None:
@@ -83,28 +115,42 @@ AFTER = """
 import importlib, pkgutil
 from dataclasses import replace
 from idrgbdo_torch import kernels
-from idrgbdo_torch.config import Config
+from idrgbdo_torch.config import Config, KeyframeConfig, WindowConfig
+from idrgbdo_torch.definitions.camera import Pinhole
 from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 from idrgbdo_torch.synthetic import RenderedSequence, SynthConfig
-from idrgbdo_torch.tracker.warmup import warm_up
 
 modules = [importlib.import_module(f"{kernels.__name__}.{m.name}") for m in pkgutil.iter_modules(kernels.__path__)]
 
 def variants():
     return {f"{m.__name__}.{k}": len(v.signatures) for m in modules for k, v in vars(m).items() if hasattr(v, "stats")}
 
-warm_up(lambda: IdRgbdo(compile_ahead=False))
+IdRgbdo()
 before = variants()
-film = list(RenderedSequence(SynthConfig(frames=12, width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5)))
-config = Config()
-once = replace(config, selection=replace(config.selection, per_frame=False))
-lone = replace(config, window=replace(config.window, enabled=False))
-for config in (config, once, lone):
-    odometry = IdRgbdo(config)
-    for frame in film:
-        odometry.track(frame)
-    odometry.last_points()
-    odometry.map_points()
+film = list(RenderedSequence(SynthConfig(frames=20, width=240, height=180, fx=197.0, fy=197.0, cx=119.5, cy=89.5)))
+dark = [replace(f, gray=0 * f.gray, depth=0 * f.depth) for f in film[:5]]  # until a new segment starts,
+turned = [replace(f, gray=f.gray.flip(1), depth=f.depth.flip(1)) for f in film[:6]]  # with another view,
+story = [*film[:12], dark[0], *film[13:16], *dark, *turned, *film[6:16]]  # from which the earlier one is found again
+story = [replace(f, timestamp=n / 30, camera=Pinhole(width=240, height=180, fx=197, fy=197, cx=119.5, cy=90))
+         for n, f in enumerate(story)]
+base = Config(keyframe=KeyframeConfig(threshold_bits=0.1), window=WindowConfig(keyframes=3))
+changes = [  # together every option that may lead to another kernel, and numbers without a decimal point
+    {},
+    {"selection": {"mode": "rand", "distance": 5, "spread": 0, "margin": 9}, "window": {"removal": "information"},
+     "noise": {"variance": "paper", "blur": 0, "huber": 8, "c_h": 1}, "tracking": {"blur": 0, "sigma_turn": 1}},
+    {"selection": {"mode": "grid", "per_frame": False}, "noise": {"depth_residual": False},
+     "tracking": {"slant": True, "levels": 6}, "keyframe": {"criterion": "ratio"}, "window": {"removal": "oldest"}},
+    {"selection": {"mode": "inf"}, "tracking": {"levels": 1, "patch": 1},
+     "window": {"points": 50, "first_estimates": False}},
+    {"selection": {"points": 100}, "window": {"enabled": False}},
+]
+seen = set()
+for change in changes:
+    odometry = IdRgbdo(replace(base, **{part: replace(getattr(base, part), **new) for part, new in change.items()}))
+    seen |= {r.reason.split(" ")[0] + r.status.value for r in map(odometry.track, story)}
+    for look in ("last_points", "last_candidates", "map_points", "trajectory", "window_keyframes"):
+        getattr(odometry, look)()
+assert {"ok", "foundweak", "alost"} <= seen, seen  # a new segment starts, and the first one is found again
 print({name: count for name, count in variants().items() if count != before[name]})
 """
 
