@@ -79,7 +79,7 @@ def _points(frame: RgbdFrame, odometry: object) -> NDArray[np.uint16]:
     mm = MM * frame.depth.numpy()[row, column]
     mm = np.where(mm <= LARGEST, mm, 0.0)  # too far to say
     table = np.column_stack([PX * uv[:, 0], PX * uv[:, 1], mm, BITS * bits])
-    return np.nan_to_num(table).round().clip(0, LARGEST).astype(np.uint16)
+    return np.asarray(np.nan_to_num(table).round().clip(0, LARGEST), np.uint16)
 
 
 def _every(number: int, most: int) -> int:

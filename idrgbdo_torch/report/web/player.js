@@ -99,8 +99,8 @@ class Player {
     if (this.frame === TIMES.length - 1) this.seek(0);
     const begin = performance.now(), from = TIMES[this.frame];
     one("#play").textContent = "❚❚";
-    const step = now => {
-      const frame = lastAtMost(TIMES, from + (now - begin) / 1000);
+    const step = () => {
+      const frame = lastAtMost(TIMES, from + (performance.now() - begin) / 1000);
       if (frame !== this.frame) this.show(Math.max(0, frame));
       if (frame >= TIMES.length - 1) this.stop(); else this.timer = requestAnimationFrame(step);
     };

@@ -57,7 +57,7 @@ class Scene {
     this.frustum = Math.min(0.06 * this.size, Math.max(0.015 * this.size, 0.12 * Math.hypot(...path)));
   }
 
-  reset() { this.look(0.55, 0.45, 0.95 * this.size, this.centre); }
+  reset() { this.look(0.5, 0.4, 0.85 * this.size, this.centre); }
   above() { this.look(0, Math.PI / 2 - 1e-3, 1.05 * this.size, this.centre); }
 
   look(yaw, pitch, distance, target) {
@@ -124,7 +124,7 @@ class Scene {
 
   paintMap() {
     const { right: r, up: u, ahead: a, eye: e } = this.axes, { width, height, focal, xyz, pixels, buffer } = this;
-    const cx = width / 2, cy = height / 2, side = 0.0035 * this.size * focal;
+    const cx = width / 2, cy = height / 2, side = 0.0045 * this.size * focal;
     buffer.fill(Infinity);
     for (let k = 0, j = 0; k < this.color.length && this.since[k] <= this.frame; k++, j += 3) {
       const dx = xyz[j] - e[0], dy = xyz[j + 1] - e[1], dz = xyz[j + 2] - e[2];
