@@ -102,12 +102,12 @@ class Player {
     const step = () => {
       const frame = lastAtMost(TIMES, from + (performance.now() - begin) / 1000);
       if (frame !== this.frame) this.show(Math.max(0, frame));
-      if (frame >= TIMES.length - 1) this.stop(); else this.timer = requestAnimationFrame(step);
+      if (frame >= TIMES.length - 1) this.stop();
     };
-    this.timer = requestAnimationFrame(step);
+    this.timer = setInterval(step, 25);
   }
 
-  stop() { cancelAnimationFrame(this.timer); this.timer = 0; one("#play").textContent = "▶"; }
+  stop() { clearInterval(this.timer); this.timer = 0; one("#play").textContent = "▶"; }
   seek(frame) { this.stop(); this.show(Math.max(0, Math.min(TIMES.length - 1, frame))); }
 
   show(frame) {

@@ -2,7 +2,7 @@
 // thousand points go into a depth buffer of our own in a few milliseconds, on any machine and phone.
 "use strict";
 
-const LOOK = { estimate: "#ff8a3d", refined: "#4da3ff", reference: "#e8ecf1", keyframe: "#7d8fa3", window: "#ffc53d" };
+const LOOK = { estimate: "#ff8a3d", refined: "#4da3ff", reference: "#e8ecf1", keyframe: "#8fa3b870", window: "#ffc53d" };
 const BACKGROUND = 0xff1d1712; // a b g r
 
 class Scene {
@@ -54,7 +54,7 @@ class Scene {
       }
       return high - low;
     });
-    this.frustum = Math.min(0.06 * this.size, Math.max(0.015 * this.size, 0.12 * Math.hypot(...path)));
+    this.frustum = Math.min(0.035 * this.size, Math.max(0.012 * this.size, 0.07 * Math.hypot(...path)));
   }
 
   reset() { this.look(0.5, 0.4, 0.85 * this.size, this.centre); }
@@ -118,7 +118,7 @@ class Scene {
     if (this.shown.estimate !== false) this.stroke(this.poses.subarray(0, 12 * (this.frame + 1)), 12, 3, 4, LOOK.estimate, 1.8);
     this.paintKeyframes();
     const pose = this.poses.subarray(12 * this.frame, 12 * this.frame + 12);
-    this.paintFrustum(pose, 1.6 * this.frustum, LOOK.estimate, 2.4);
+    this.paintFrustum(pose, 2 * this.frustum, LOOK.estimate, 2.4);
     if (this.shown.points !== false) this.paintPoints(pose);
   }
 
