@@ -26,7 +26,7 @@ LAYERS = {  # what can be switched off in the scene, with its colour there
     "map": ("map", "#9aa5b1"),
     "estimate": ("path as it came", "#ff8a3d"),
     "refined": ("refined path", "#4da3ff"),
-    "reference": ("reference", "#2b3440"),
+    "reference": ("reference", "#c3cad2"),
     "keyframes": ("keyframes; yellow: in the window", "#ffc53d"),
     "points": ("points by bits", "#2a9d8f"),
 }

@@ -22,8 +22,8 @@ class Glimpses { // what is kept of single frames
     for (const count of numbers(data.count, Uint32Array)) this.begin.push(this.begin[this.begin.length - 1] + count);
     this.place = new Map(this.frame.map((frame, k) => [frame, k]));
     this.withImage = Object.keys(data.images).map(Number).sort((a, b) => a - b);
-    this.most = 1e-9;
-    for (let k = 3; k < this.points.length; k += 4) this.most = Math.max(this.most, this.points[k] / data.steps[2]);
+    const worths = this.points.filter((_, k) => k % 4 === 3).sort(); // the few that are worth most would leave all dark
+    this.most = Math.max(1e-3, (worths[Math.floor(0.98 * worths.length)] || 0) / data.steps[2]);
     this.loaded = new Map();
   }
 
@@ -32,7 +32,7 @@ class Glimpses { // what is kept of single frames
     if (k === undefined) return out;
     for (let i = 4 * this.begin[k]; i < 4 * this.begin[k + 1]; i += 4) {
       const worth = this.points[i + 3] / bits;
-      out.push({ u: this.points[i] / px, v: this.points[i + 1] / px, depth: this.points[i + 2] / mm, bits: worth, share: worth / this.most });
+      out.push({ u: this.points[i] / px, v: this.points[i + 1] / px, depth: this.points[i + 2] / mm, bits: worth, share: Math.min(1, worth / this.most) });
     }
     return out.sort((a, b) => a.bits - b.bits); // the best on top
   }
@@ -141,7 +141,7 @@ class Player {
       c.fillStyle = "#00000030"; c.fillRect(0, 0, canvas.width, canvas.height);
       for (const { u, v, share } of this.glimpses.pointsOf(frame))
         disc(c, (u + 0.5) * scale, (v + 0.5) * scale, 4.5 * ratio, DATA.scene.ramp[Math.round(31 * share)], ratio);
-      one("#seen-about").textContent = `frame ${frame}: points by what each adds, 0 to ${this.glimpses.most.toFixed(2)} bits`;
+      one("#seen-about").textContent = `frame ${frame}: points by what each adds, 0 to ${this.glimpses.most.toFixed(2)} bits and more`;
     });
   }
 }
