@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PARTS = ("idrgbdo_torch", "baselines", "configs", "docs", "notebooks", "tests", ".ci")
+PARTS = ("idrgbdo_torch", "baselines", "configs", "docs", "integrations", "notebooks", "tests", ".ci")
 
 
 @pytest.fixture(scope="module")
