@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from ..frame import BrokenFrame, RgbdFrame
@@ -19,7 +20,7 @@ from ..tracker.inspection import Inspectable
 WIDTH = 320  # px of an embedded image
 QUALITY = 55  # of its JPEG
 MOST_IMAGES = 160
-MOST_FRAMES = 2000  # with points
+MOST_FRAMES = 1000  # with points
 MOST_POINTS = 64  # of a frame: those worth most
 PX, MM, BITS = 8.0, 1000.0, 1000.0  # steps of the kept numbers in a pixel, a metre, a bit
 LARGEST = np.iinfo(np.uint16).max
@@ -58,10 +59,11 @@ def watch(
 
 def small_image(frame: RgbdFrame) -> NDArray[np.uint8]:
     """The frame's image as a JPEG file of at most WIDTH px."""
-    gray = frame.gray.round().clamp(0, 255).numpy()
-    image = (gray if frame.color is None else frame.color.numpy()[..., ::-1]).astype(np.uint8)
+    gray = frame.gray.round().clamp(0, 255).to(torch.uint8)
+    image = (gray if frame.color is None else frame.color).numpy()
     scale = min(1.0, WIDTH / image.shape[1])
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    small = small if frame.color is None else cv2.cvtColor(small, cv2.COLOR_RGB2BGR)
     _, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     return np.asarray(data, np.uint8).reshape(-1)
 
