@@ -52,7 +52,7 @@ def run_page(
     reference = None if apart else groundtruth
     times = np.array([float(row["timestamp"]) for row in rows])
     keyframes = [number for number, row in enumerate(rows) if row["keyframe"] == "1"]
-    drawn = scene(folder, estimate, refined, reference, keyframes, glimpses, camera)
+    drawn = scene(folder, estimate, refined, reference, times, keyframes, glimpses, camera)
     charts: list[dict[str, Any]] = []
 
     def chart(*specs: dict[str, Any]) -> str:

@@ -38,13 +38,17 @@ def scene(
     estimate: Trajectory,
     refined: Trajectory | None,
     reference: Trajectory | None,
+    times: NDArray[np.float64],
     keyframes: Sequence[int],
     glimpses: Sequence[Glimpse],
     camera: Pinhole | None,
 ) -> dict[str, Any]:
-    """What scene.js draws. reference: in its own world, overlapping the estimate; keyframes: their frames."""
+    """What scene.js draws. reference: in its own world, overlapping the estimate; keyframes: their frames.
+
+    times: s, of the frames. A frame whose pose is not in the estimate (its time was there twice) gets the next one.
+    """
     T_up_world = rigid(upright(estimate))
-    times = estimate.timestamps.numpy()
+    row = frame_of(times, estimate.timestamps.numpy()).astype(np.int64)  # of each frame in the estimate
     lines = {} if refined is None else {"refined": pack(_path(T_up_world, refined))}
     if reference is not None:
         T_reference_world = absolute_error(estimate, reference).T_reference_estimate
@@ -54,11 +58,11 @@ def scene(
     made = np.unique(np.concatenate([np.array(keyframes, np.uint32), *windows]))  # some of the frame before
     best = estimate if refined is None or len(refined) != len(estimate) else refined
     return {
-        "poses": pack(_poses(T_up_world, estimate)),
+        "poses": pack(_poses(T_up_world, estimate)[row]),
         "lines": lines,
         "keyframes": {
             "frame": pack(made),
-            "poses": pack(_poses(T_up_world, best.at(torch.from_numpy(made.astype(np.int64))))),
+            "poses": pack(_poses(T_up_world, best.at(torch.from_numpy(row[made])))),
         },
         "map": _map(folder, T_up_world, times),
         "camera": None if camera is None else [camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height],

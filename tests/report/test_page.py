@@ -162,6 +162,21 @@ def test_poses_map_and_reference_lie_in_one_upright_world(tmp_path: Path) -> Non
     np.testing.assert_allclose(np.linalg.norm(line[:12] - poses[:, :, 3], axis=1), ate.errors_m, atol=1e-5)
 
 
+def test_a_frame_whose_time_came_twice_has_a_pose(tmp_path: Path) -> None:
+    sequence = open_sequence(write_recording(tmp_path, "walk", frames=6))
+    odometry = Chatty(torch.tensor([0.3, 0, 0, 0, 0.1, 0], dtype=torch.float64))
+    with RunFolder(tmp_path / "out") as folder:
+        folder.finish(run(odometry, sequence, folder.append), odometry)
+    path = tmp_path / "out" / "frames.csv"
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join([*lines[:4], lines[3], *lines[4:]]))
+    data = data_of(run_page(tmp_path / "out", "walk"))
+    poses = unpacked(data["scene"]["poses"], "<f4").reshape(-1, 12)
+    assert len(poses) == len(unpacked(data["times"], "<f4")) == 7
+    np.testing.assert_array_equal(poses[2], poses[3])
+    assert (poses[3] != poses[4]).any()
+
+
 def test_a_long_run_leaves_a_small_page(tmp_path: Path) -> None:
     """1000 frames of texture that compresses badly, with 64 points each."""
     rng = np.random.default_rng(0)
