@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -10,6 +11,8 @@ from pathlib import Path
 import pytest
 from recordings import ROOT, write_recording
 from rendered import Film, film
+
+sys.path.append(str(ROOT))  # baselines/, which the installed package has as a part of itself
 
 
 @pytest.fixture(scope="session")

@@ -109,7 +109,8 @@ def test_every_link_and_file_named_is_there(page: Path) -> None:
         if not target.startswith("http"):
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
     for name in re.findall(r"`(\w+\.py)`", page.read_text()):
-        assert list((ROOT / "idrgbdo_torch").rglob(name)), f"{page.name} names {name}"
+        code = [path for folder in ("idrgbdo_torch", "integrations") for path in (ROOT / folder).rglob(name)]
+        assert code, f"{page.name} names {name}"
 
 
 def test_pictures_are_small() -> None:

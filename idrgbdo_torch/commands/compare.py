@@ -97,10 +97,11 @@ def compare(command: CompareCommand) -> int:
 
 def known_methods(add: Path | None) -> dict[str, Method]:
     """The baselines, ours, and those of a Python file. Raises IdRgbdoError for a file without METHODS."""
-    from baselines import METHODS
+    from ..comparison.shipped import shipped_methods
 
+    methods = shipped_methods()
     if add is None:
-        return METHODS
+        return methods
     if not add.is_file():
         raise IdRgbdoError(f"add: expected a Python file with a dictionary METHODS, found none at '{add}'")
     folder = str(add.resolve().parent)
@@ -119,7 +120,7 @@ def known_methods(add: Path | None) -> dict[str, Method]:
         raise IdRgbdoError(f"add: expected a dictionary METHODS in '{add}', found none; see the README")
     mark = f"# {add.name}, SHA-256 {digest}\n"
     return {
-        **METHODS,
+        **methods,
         **{name: replace(method, settings=partial(_marked, method.settings, mark)) for name, method in extra.items()},
     }
 

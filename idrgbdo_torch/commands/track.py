@@ -20,7 +20,7 @@ from ..evaluation import Evaluation, hints
 from ..evaluation import evaluate as evaluate_trajectory
 from ..frame import BrokenFrame, RgbdFrame
 from ..odometry import Odometry, Record, Run
-from ..report import Snapshot, run_page, watch
+from ..report import Glimpse, run_page, watch
 from ..report.terminal import (
     Rows,
     compiling_bar,
@@ -80,7 +80,7 @@ class Job:
 
     def go_on(self, path: Path) -> State:
         """The interrupted run in a folder. Raises IdRgbdoError where there is none of this job."""
-        return checkpoint.load(path, self.identity(), [Snapshot])
+        return checkpoint.load(path, self.identity(), [Glimpse])
 
 
 @dataclass(frozen=True)
@@ -143,9 +143,9 @@ def do(
     """
     sequence, method, records = job.sequence, state.odometry, state.records
     done_before = len(records)
-    snapshots: list[Snapshot] = state.extras
+    glimpses: list[Glimpse] = state.extras
     kept = resume is not None and checkpoint.can_keep(method)
-    checkpoints = Checkpoints(path, job.identity(), [Snapshot]) if kept else None
+    checkpoints = Checkpoints(path, job.identity(), [Glimpse]) if kept else None
     count_statuses = status_counter()
     session = Session(path, method, records, sequence.groundtruth)
     folder = RunFolder(path, configfile.dump(job.config), resumed=bool(resume))
@@ -165,8 +165,7 @@ def do(
                 if checkpoints:
                     checkpoints.offer(state)
 
-            picks = {number - done_before for number in _spread_out(len(sequence))}
-            frames: Frames = watch(_until(stopped, _from(sequence, done_before)), method, picks, snapshots)
+            frames: Frames = watch(_until(stopped, _from(sequence, done_before)), method, glimpses, done_before)
             for observer in observers:
                 frames = observer.stream(frames, session)
             done = odometry.run(method, frames, on_record, records)
@@ -178,7 +177,8 @@ def do(
             trajectory = believable(method.trajectory(), done)
             rows.append(("mesh", _mesh(sequence, trajectory, path / "mesh.ply", terminal)))
         if done.records:
-            write_whole(path / "report.html", run_page(path, job.title, sequence.groundtruth, snapshots))
+            page = run_page(path, job.title, sequence.groundtruth, glimpses, sequence.camera)
+            write_whole(path / "report.html", page)
         for observer in observers:
             observer.finish(done, evaluation, session)
     if checkpoints and not stopped:
@@ -228,11 +228,6 @@ def _evaluated(done: Run, method: Odometry, groundtruth: Trajectory | None) -> t
         return evaluation, [*rows, *noticed]
     except IdRgbdoError as error:
         return None, [("not evaluated", str(error)), *noticed]
-
-
-def _spread_out(frames: int, count: int = 6) -> set[int]:
-    """Numbers of frames for pictures, the first one left out, since nothing is tracked in it."""
-    return {round((frames - 1) * (k + 1) / (count + 1)) for k in range(count)} - {0}
 
 
 @contextmanager

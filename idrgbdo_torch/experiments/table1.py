@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from statistics import geometric_mean
 from typing import TYPE_CHECKING
 
+from ..comparison.shipped import shipped_methods
 from ..config import Config
 from .drawing import SERIES, new_figure
 from .lab import Cell, Lab, Report, Table
@@ -66,9 +67,7 @@ def survey(lab: Lab) -> dict[tuple[str, str], Measured]:
     if lab.paper is not None:
         rows |= {f"paper-{count}": ("ours", with_points(lab.paper, count)) for count in (FEW, MANY)}
     if not lab.alone:
-        from baselines import METHODS
-
-        rows |= {name: (name, None) for name in others(METHODS, lab.quick)}
+        rows |= {name: (name, None) for name in others(shipped_methods(), lab.quick)}
     plan = {
         (row, clip.name): Task(clip, method, config) for clip in lab.clips for row, (method, config) in rows.items()
     }

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 
 from ..comparison.outcome import versions_of
+from ..comparison.shipped import shipped_folder, shipped_methods
 from ..config import Config
 from ..datasets import RgbdSequence, open_sequence
 from ..errors import IdRgbdoError
@@ -62,7 +63,7 @@ class Clip:
 
 @dataclass(frozen=True)
 class Task:
-    """What is run. `config` is of OURS; other methods are named as in baselines.METHODS."""
+    """What is run. `config` is of OURS; other methods are named as in METHODS of baselines/."""
 
     clip: Clip
     method: str = OURS
@@ -146,9 +147,7 @@ def make(task: Task) -> Odometry:
         from ..tracker.id_rgbdo import IdRgbdo
 
         return IdRgbdo(replace(task.config or Config(), seed=task.seed))
-    from baselines import METHODS
-
-    return METHODS[task.method].make(task.seed)
+    return shipped_methods()[task.method].make(task.seed)
 
 
 def prior_entropy_bits(config: Config, rate: float = 30.0) -> float:
@@ -172,7 +171,7 @@ def content_digest(folder: Path) -> str:
 @lru_cache(maxsize=1)
 def code_digest() -> str:
     """Of the code that decides results, so that a changed method is measured anew; and of the libraries' versions."""
-    folders = [*(PACKAGE / name for name in DECIDING), PACKAGE.parent / "baselines"]
+    folders = [*(PACKAGE / name for name in DECIDING), shipped_folder()]
     files = sorted(PACKAGE.glob("*.py")) + [path for folder in folders for path in sorted(folder.rglob("*.py"))]
     digest = hashlib.sha256(json.dumps(versions_of(("torch", "numpy", "numba", "open3d"))).encode())
     for path in files:
@@ -183,9 +182,7 @@ def code_digest() -> str:
 def _settings(task: Task) -> str:
     if task.method == OURS:
         return configfile.dump(replace(task.config or Config(), seed=task.seed))
-    from baselines import METHODS
-
-    return METHODS[task.method].settings()
+    return shipped_methods()[task.method].settings()
 
 
 def _difference(task: Task) -> str:

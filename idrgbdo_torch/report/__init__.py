@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .comparison_page import comparison_page
+from .glimpses import Glimpse, watch
 from .run_page import run_page
-from .snapshots import Snapshot, watch
 
-__all__ = ["Snapshot", "comparison_page", "run_page", "watch"]
+__all__ = ["Glimpse", "comparison_page", "run_page", "watch"]

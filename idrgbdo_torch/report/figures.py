@@ -50,10 +50,10 @@ def aligned(lines: Sequence[Line], reference: Trajectory | None) -> list[Line]:
 def trajectories_3d(lines: Sequence[Line], reference: Trajectory | None) -> go.Figure:
     """Camera paths in space, up being the cameras' mean up."""
     drawn = _with_reference(lines, reference)
-    R = _upright(drawn[0].trajectory)
+    R = upright(drawn[0].trajectory)
     figure = go.Figure()
     for line in drawn:
-        x, y, z = thinned(transform(_rigid(R), line.trajectory.positions)).T.tolist()
+        x, y, z = thinned(transform(rigid(R), line.trajectory.positions)).T.tolist()
         style = {"color": line.color, "width": 2 * line.width}
         figure.add_scatter3d(
             x=x, y=y, z=z, mode="lines", name=line.name, line=style, visible=visible(line),
@@ -73,10 +73,10 @@ def trajectories_3d(lines: Sequence[Line], reference: Trajectory | None) -> go.F
 def trajectories_from_above(lines: Sequence[Line], reference: Trajectory | None) -> go.Figure:
     """Camera paths seen along the cameras' mean up axis."""
     drawn = _with_reference(lines, reference)
-    R = _upright(drawn[0].trajectory)
+    R = upright(drawn[0].trajectory)
     figure = go.Figure()
     for line in drawn:
-        x, y, _ = thinned(transform(_rigid(R), line.trajectory.positions)).T.tolist()
+        x, y, _ = thinned(transform(rigid(R), line.trajectory.positions)).T.tolist()
         figure.add_scatter(
             x=x, y=y, mode="lines", name=line.name, line={"color": line.color, "width": line.width},
             visible=visible(line), hovertemplate="%{x:.3f} %{y:.3f} m",
@@ -179,7 +179,7 @@ def thinned(rows: Tensor) -> Tensor:
     return (1e4 * rows).round() / 1e4
 
 
-def _upright(trajectory: Trajectory) -> Tensor:
+def upright(trajectory: Trajectory) -> Tensor:
     """(3, 3) rotation of the world that brings the cameras' mean up axis to z and their mean view into the page."""
     R_world_cam = trajectory.T_world_cam[:, :3, :3]
     up = -R_world_cam[:, :, 1].mean(0)
@@ -192,7 +192,8 @@ def _upright(trajectory: Trajectory) -> Tensor:
     return torch.stack([torch.linalg.cross(forward, up), forward, up])
 
 
-def _rigid(R: Tensor) -> Tensor:
+def rigid(R: Tensor) -> Tensor:
+    """(4, 4) transform of a rotation (3, 3) alone."""
     T = torch.eye(4, dtype=R.dtype)
     T[:3, :3] = R
     return T
@@ -200,7 +201,7 @@ def _rigid(R: Tensor) -> Tensor:
 
 def _box(trajectory: Trajectory, R: Tensor) -> tuple[list[float], list[float]]:
     """A box around a trajectory with room to either side, so that a method that runs away does not shrink the rest."""
-    positions = transform(_rigid(R), trajectory.positions)
+    positions = transform(rigid(R), trajectory.positions)
     low, high = positions.amin(0), positions.amax(0)
     room = 0.25 * float((high - low).max()) + 0.01
     return (low - room).tolist(), (high + room).tolist()

@@ -22,11 +22,11 @@ nav a { color: var(--accent); text-decoration: none; border: 1px solid var(--lin
   padding: 2px 12px; background: var(--card); font-size: 14px; }
 .card { background: var(--card); border: 1px solid var(--line); border-radius: 10px; padding: 12px; margin: 12px 0;
   overflow: hidden; }
-.pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(440px, 1fr)); gap: 12px; }
+.pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(440px, 100%), 1fr)); gap: 12px; }
 .pair .card { margin: 0; min-width: 0; }
 .tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(150px, 1fr)); gap: 12px; margin: 20px 0; }
 .tile { background: var(--card); border: 1px solid var(--line); border-radius: 10px; padding: 12px 16px; }
-.tile b { display: block; font-size: 22px; font-variant-numeric: tabular-nums; }
+.tile b { display: block; font-size: 20px; white-space: nowrap; font-variant-numeric: tabular-nums; }
 .tile span { color: var(--muted); font-size: 13px; }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; width: 100%; font-size: 14px; font-variant-numeric: tabular-nums; }
@@ -36,12 +36,15 @@ td.text { white-space: normal; min-width: 16em; }
 th { color: var(--muted); font-weight: 600; cursor: pointer; user-select: none; }
 tbody tr:hover { background: #faf6f3; }
 td.best { color: var(--accent); font-weight: 700; }
-.frames { display: grid; grid-template-columns: repeat(auto-fill, minmax(360px, 1fr)); gap: 12px; }
-figure { margin: 0; } figure svg { width: 100%; height: auto; display: block; border-radius: 6px; }
-figcaption { color: var(--muted); font-size: 13px; padding-top: 4px; }
 pre { margin: 0; overflow-x: auto; font-size: 13px; }
 summary { cursor: pointer; color: var(--muted); }
 footer { margin-top: 40px; color: var(--muted); font-size: 13px; }
+@media (max-width: 600px) {
+  main { padding: 16px 10px 32px; } h1 { font-size: 22px; overflow-wrap: anywhere; } h2 { margin-top: 28px; }
+  .tiles { grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 8px; }
+  .tile { padding: 8px 12px; } .tile b { font-size: 18px; }
+  .card { padding: 8px; }
+}
 """
 
 SCRIPT = """
@@ -81,8 +84,20 @@ class Section:
     note: str = ""
 
 
-def page(title: str, subtitle: str, intro: str, sections: list[Section], footer: str, plots: bool = True) -> str:
-    """The whole document; where it has plots, plotly's script stands inside, so that it works without a network."""
+def page(
+    title: str,
+    subtitle: str,
+    intro: str,
+    sections: list[Section],
+    footer: str,
+    plots: bool = True,
+    style: str = "",
+    after: str = "",
+) -> str:
+    """The whole document; where it has plots, plotly's script stands inside, so that it works without a network.
+
+    style: more of it. after: HTML at the end of the body, which finds all that stands before.
+    """
     script = ""
     if plots:
         from plotly.offline import get_plotlyjs
@@ -98,9 +113,9 @@ def page(title: str, subtitle: str, intro: str, sections: list[Section], footer:
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1"><link rel="icon" href="data:,">'
-        f"<style>{STYLE}</style>{script}</head><body><main>"
+        f"<style>{STYLE}{style}</style>{script}</head><body><main>"
         f'<h1>{escape(title)}</h1><p class="subtitle">{escape(subtitle)}</p><nav>{links}</nav>{intro}{body}'
-        f"<footer>{escape(footer)}</footer></main><script>{SCRIPT}</script></body></html>\n"
+        f"<footer>{escape(footer)}</footer></main><script>{SCRIPT}</script>{after}</body></html>\n"
     )
 
 

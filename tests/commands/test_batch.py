@@ -21,7 +21,7 @@ from idrgbdo_torch.config import Config
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.experiments.sweep import Progress, Workers, sweep
 from idrgbdo_torch.odometry import run
-from idrgbdo_torch.report import Snapshot
+from idrgbdo_torch.report import Glimpse
 from idrgbdo_torch.runs import checkpoint
 from idrgbdo_torch.runs.checkpoint import Checkpoints, State
 from idrgbdo_torch.runs.source import Reading
@@ -100,7 +100,7 @@ def test_a_process_that_was_killed_is_followed_by_one_that_goes_on(episodes: Pat
     sequence, odometry = open_input(path, Input()), IdRgbdo()
     job = Job(sequence, "killed", Config(), "none", Reading(path, asdict(Input())))
     records = run(odometry, [sequence.read(index) for index in range(9)]).records
-    Checkpoints(folder, job.identity(), [Snapshot]).write(State(odometry, list(records), []))
+    Checkpoints(folder, job.identity(), [Glimpse]).write(State(odometry, list(records), []))
     result = track_episode(Episode(path, folder, Input(), Config(), "none"))
     assert (result["resumed_after"], result["frames"]) == (9, FILM.frames)
     torch.testing.assert_close(poses(folder), poses(whole), rtol=0, atol=1e-9)
