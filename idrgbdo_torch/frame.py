@@ -169,18 +169,24 @@ def prepare(rgbd: RgbdFrame, blur: float = 0.0) -> Frame:
             f"frame: expected images of at least {least}x{least} pixels, got {rgbd.camera.width}x{rgbd.camera.height}; "
             "record larger ones"
         )
-    images = [np.ascontiguousarray(rgbd.gray.numpy())]
-    while len(images) < LEVELS:
-        height, width = images[-1].shape
-        even = images[-1][: max(height // 2, 1) * 2, : max(width // 2, 1) * 2]
-        images.append(cv2.resize(even, (max(width // 2, 1), max(height // 2, 1)), interpolation=cv2.INTER_AREA))
-    for image in images[1:]:
-        cv2.GaussianBlur(image, (5, 5), COARSE_BLUR, dst=image)  # in place: fresh memory costs more than the blur
+    images = gray_pyramid(np.ascontiguousarray(rgbd.gray.numpy()), LEVELS)
     sharp = images[0]
     if blur > 0.0:
         images[0] = cv2.GaussianBlur(images[0], (5, 5), blur)
     depth = np.ascontiguousarray(rgbd.depth.numpy())
     return Frame(rgbd.timestamp, rgbd.camera, tuple(images), depth, rgbd.color, sharp)
+
+
+def gray_pyramid(image: Image, levels: int) -> list[Image]:
+    """The image (H, W) float32 itself and its levels - 1 halvings, blurred."""
+    images = [image]
+    while len(images) < levels:
+        height, width = images[-1].shape
+        even = images[-1][: max(height // 2, 1) * 2, : max(width // 2, 1) * 2]
+        images.append(cv2.resize(even, (max(width // 2, 1), max(height // 2, 1)), interpolation=cv2.INTER_AREA))
+    for image in images[1:]:
+        cv2.GaussianBlur(image, (5, 5), COARSE_BLUR, dst=image)  # in place: fresh memory costs more than the blur
+    return images
 
 
 @dataclass(frozen=True)

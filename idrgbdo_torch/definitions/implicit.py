@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from .solver import solve
+from .solver import nothing_left, solve
 
 STEPS = 8  # at most, from where a search settled to where nothing moves
 STILL = 1e-20  # squared standard deviations; a smaller step is rounding
@@ -32,7 +32,7 @@ def implicit_root(equation: Callable[[Tensor], tuple[Tensor, Tensor]], x: Tensor
             better = size_new < size
             x, b = torch.where(better[:, None], x_new, x), torch.where(better[:, None], b_new, b)
             size = torch.where(better, size_new, size)
-            if not bool((better & (size > STILL)).any()):
+            if nothing_left(better & (size > STILL)):
                 break
     return x + _divided(_slope(equation, x), equation(x)[1])
 
