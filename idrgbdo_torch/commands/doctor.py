@@ -7,7 +7,6 @@ import os
 import platform
 import sys
 from dataclasses import asdict, dataclass, field
-from importlib import metadata
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated
@@ -156,6 +155,8 @@ def self_test() -> Item:
 
 def _package(distribution: str, module: str) -> Item:
     """Its version, if it can be imported."""
+    from importlib import metadata  # late: it takes a tenth of what --help does
+
     try:
         version = metadata.version(distribution)
         importlib.import_module(module)

@@ -25,14 +25,16 @@ def implicit_root(equation: Callable[[Tensor], tuple[Tensor, Tensor]], x: Tensor
     with torch.no_grad():
         H, b = equation(x)
         size = (b * solve(H, b).y).sum(-1)
+        active = torch.ones_like(size, dtype=torch.bool)
         for _ in range(STEPS):
             x_new = x + _divided(J, b)
             H, b_new = equation(x_new)
             size_new = (b_new * solve(H, b_new).y).sum(-1)
-            better = size_new < size
+            better = active & (size_new < size)
             x, b = torch.where(better[:, None], x_new, x), torch.where(better[:, None], b_new, b)
             size = torch.where(better, size_new, size)
-            if nothing_left(better & (size > STILL)):
+            active = better & (size > STILL)
+            if nothing_left(active):
                 break
     return x + _divided(_slope(equation, x), equation(x)[1])
 

@@ -112,7 +112,7 @@ def host_points(
     plain = gray.dtype == torch.float32 and gray.device.type == uv.device.type == "cpu" and not recorded(gray, uv)
     if not plain or not 0 < levels <= LEVELS or min(gray.shape[-2:]) >> (levels - 1) < SMALLEST:
         return by_points.host_points(gray, uv, inverse_depth, sigma=sigma, weight=weight, levels=levels)
-    patch, gradient = image_operators.sampled(gray, uv, levels)
+    patch, gradient = (x.to(uv.dtype) for x in image_operators.sampled(gray, uv, levels))
     return HostPoints(uv, inverse_depth, variance, tuple(patch.unbind(1)), tuple(gradient.unbind(1)), weight)
 
 
