@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import platform
 import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -16,7 +15,6 @@ from tyro.conf import arg
 from .. import __version__
 from ..errors import IdRgbdoError
 from ..synthetic.config import SynthConfig
-from ..tracker.open3d_loader import load_open3d
 from .output import Output, answer
 
 NEEDED = {  # distribution: module
@@ -65,7 +63,9 @@ class Item:
 
 def versions() -> list[Item]:
     """This package, Python, and every package that is needed; each is imported."""
-    python = f"{platform.python_version()}, {sys.executable}"
+    from ..tracker.open3d_loader import load_open3d
+
+    python = f"{sys.version.split()[0]}, {sys.executable}"
     items = [
         Item("idrgbdo_torch", __version__),
         Item("python", python, sys.version_info >= (3, 11), "use 3.11 or newer"),
@@ -101,6 +101,8 @@ def decoders() -> list[Item]:
 
 def machine() -> list[Item]:
     """System, processor, and what torch makes of it."""
+    import platform
+
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     import torch
 
@@ -174,6 +176,8 @@ def _decoder(distribution: str, module: str, library: str) -> str:
 
 def _processor() -> str:
     """The processor's name, where the system tells it."""
+    import platform
+
     info = Path("/proc/cpuinfo")
     lines = info.read_text(encoding="utf-8", errors="replace").splitlines() if info.exists() else []
     names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]

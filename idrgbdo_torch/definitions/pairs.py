@@ -54,7 +54,9 @@ def pairs_task(
 ) -> PairsTask:  # fmt: skip
     """The arguments of align_pairs. Raises IdRgbdoError for numbers and sizes of images that do not fit."""
     B = len(points.uv)
-    gray, depth = torch.as_tensor(gray), None if depth is None else torch.as_tensor(depth)
+    # arrays become tensors; tensors stay where they are, whatever torch's default device is
+    gray = gray if isinstance(gray, Tensor) else torch.as_tensor(gray)
+    depth = depth if depth is None or isinstance(depth, Tensor) else torch.as_tensor(depth)
     if gray.ndim != 3 or len(gray) != B or len(points.patch) < len(steps):
         raise IdRgbdoError(
             f"align_pairs: expected gray ({B}, H, W) and points with {len(steps)} levels, got {tuple(gray.shape)} and "
