@@ -16,11 +16,18 @@ from rendered import Film
 
 from idrgbdo_torch import IdRgbdo
 
+WORK = """
+import os
+parent = os.getppid()
+while os.getppid() == parent:
+    sum(range(10_000))
+"""
+
 
 @contextmanager
 def busy_processes(count: int) -> Iterator[None]:
     """Python processes that do nothing but work."""
-    others = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    others = [subprocess.Popen([sys.executable, "-c", WORK]) for _ in range(count)]
     try:
         yield
     finally:
