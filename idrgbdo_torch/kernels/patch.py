@@ -73,8 +73,8 @@ def lanes_for(room, points):
 def patch_sums(image, camera, T, bright, noise, room, weights=None):
     """Fill all rows that the caller has not: what LANES points of a host tell about a target.
 
-    image (H, W), camera (fx, fy, cx, cy) of it; T: T_target_host. weights: factors on the information of pixels, a row of
-    lanes for each.
+    image (H, W), camera (fx, fy, cx, cy) of it; T: T_target_host. weights: factors on the information of pixels, a
+    row of lanes for each.
     """
     place(camera, T, noise, room.points, room.lanes)
     project(image, camera, T, room)
