@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ from ..config import Config
 from ..text.configfile import Count
 from ..text.plain import plain
 from .input import Input, Settings, open_input
+from .output import Output, answer
 
 if TYPE_CHECKING:
     from ..datasets import RgbdSequence
@@ -27,25 +27,23 @@ class BenchCommand:
     """Measure what tracking costs on this machine: rate, milliseconds, processor, memory and energy of a frame."""
 
     sequence: Positional[Path | None] = None  # folder or bag; else the demo's rendered desk
-    settings: Settings = field(default_factory=Config)
-    input: Annotated[Input, arg(name="")] = field(default_factory=Input)
-    config: Path | None = None  # TOML; its values are the defaults of the flags
+    config: Path | None = None  # TOML, or fast, accurate, paper; its values are the defaults of the flags
     rounds: Count = 3  # how often the sequence is tracked, each time from the beginning
-    json: Path | None = None  # the same figures as a file, to share
+    input: Annotated[Input, arg(name="")] = field(default_factory=Input)
+    output: Annotated[Output, arg(name="")] = field(default_factory=Output)
+    settings: Settings = field(default_factory=Config)
 
 
 def bench(command: BenchCommand) -> int:
     """Track a recording some times and show what that took."""
     from ..report.terminal import show_table
-    from ..runs.writing import write_whole
     from .demo import demo_folder
 
     sequence = open_input(command.sequence or demo_folder(), command.input)
     for warning in sequence.warnings:
         print("warning:", plain(warning), file=sys.stderr)
     figures = measured(sequence, command.settings, command.rounds)
-    if command.json:
-        write_whole(command.json, json.dumps(figures, indent=2) + "\n")
+    answer(**figures)
     show_table(f"{sequence.name} on {figures['machine']}", rows(figures))
     return 0
 

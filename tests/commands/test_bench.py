@@ -8,27 +8,34 @@ from pathlib import Path
 
 import pytest
 
+from idrgbdo_torch.commands.bench import rows
 from idrgbdo_torch.commands.cli import main
 from idrgbdo_torch.runs.machine import EnergyMeter
 
 
-def test_bench_shows_a_table_and_writes_the_same_figures(
-    make_recording: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_bench_measures_and_answers_with_json(
+    make_recording: Callable[..., Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "bench.json"
-    recording = make_recording()
-    assert main(["bench", str(recording), "--rounds", "2", "--max-frames", "3", "--json", str(out)]) == 0
-    shown = capsys.readouterr().out
-    figures = json.loads(out.read_text())
+    assert main(["bench", str(make_recording()), "--rounds", "2", "--max-frames", "3", "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
     assert figures["frames"] == 6 and figures["keyframes"] >= 2  # each round begins with one
     ms = figures["track_ms"]
     assert 0 < ms["median"] <= ms["p95"] <= ms["p99"] < 60_000
     assert figures["frames_per_second"] > 0 and figures["processor_s_per_frame"] > 0
     assert 50 < figures["peak_memory_mb"] < 50_000
-    assert figures["machine"] in shown and f"{figures['frames_per_second']:.1f} frames per second" in shown
-    assert f"{ms['median']:.2f} ms median, {ms['p95']:.2f} ms 95 %, {ms['p99']:.2f} ms 99 %" in shown
-    energy = next(line for line in shown.splitlines() if "energy a frame" in line)
-    assert ("unknown" in energy) == (figures["joules_per_frame"] is None)
+    shown = dict(rows(figures))
+    assert shown["speed"].startswith(f"{figures['frames_per_second']:.1f} frames per second")
+    assert (
+        shown["tracking a frame"] == f"{ms['median']:.2f} ms median, {ms['p95']:.2f} ms 95 %, {ms['p99']:.2f} ms 99 %"
+    )
+    assert (shown["energy a frame"] == "unknown") == (figures["joules_per_frame"] is None)
+
+
+def test_bench_shows_a_table(make_recording: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", str(make_recording()), "--rounds", "1", "--max-frames", "2"]) == 0
+    shown = capsys.readouterr().out
+    for name in ("speed", "tracking a frame", "processor a frame", "peak memory", "energy a frame"):
+        assert name in shown
 
 
 def counter(folder: Path, name: str, microjoules: int, largest: int = 999_999) -> Path:
