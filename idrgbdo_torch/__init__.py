@@ -16,17 +16,18 @@ if TYPE_CHECKING:
         information_from_rows,
         mutual_information_bits,
     )
-    from .definitions.linearise import NormalEquations, ResidualNoise, Target, linearise_pairs, residual_noise
+    from .definitions.linearise import NormalEquations, ResidualNoise, Target, residual_noise
+    from .definitions.pairs import AlignedPairs
     from .definitions.photometric import depth_residual, linearize, warp
-    from .definitions.points import HostPoints, host_points, pick_points, tracking_pyramid
+    from .definitions.points import HostPoints
     from .definitions.selection import select_rows
-    from .definitions.tracking import AlignedPairs, align_pairs
     from .errors import IdRgbdoError
     from .evaluation import evaluate
     from .frame import BrokenFrame, RgbdFrame
     from .odometry import Align, Alignment, FrameToFrame, Odometry, Run, Status, TrackResult, run
     from .runs import live
     from .tracker.id_rgbdo import IdRgbdo
+    from .tracker.pairs import align_pairs, host_points, linearise_pairs, pick_points, tracking_pyramid
     from .trajectory import Trajectory, read_tum, write_tum
 
 __version__ = "0.1.0"
@@ -34,7 +35,7 @@ __version__ = "0.1.0"
 # where each public name lives; imported when first used, so that `import idrgbdo_torch` takes no time
 _HOMES = {
     "Align": "odometry",
-    "AlignedPairs": "definitions.tracking",
+    "AlignedPairs": "definitions.pairs",
     "Alignment": "odometry",
     "BrokenFrame": "frame",
     "Config": "config",
@@ -52,25 +53,25 @@ _HOMES = {
     "Target": "definitions.linearise",
     "TrackResult": "odometry",
     "Trajectory": "trajectory",
-    "align_pairs": "definitions.tracking",
+    "align_pairs": "tracker.pairs",
     "conditional_covariance": "definitions.information",
     "depth_residual": "definitions.photometric",
     "entropy_bits": "definitions.information",
     "entropy_reduction_bits": "definitions.information",
     "evaluate": "evaluation",
-    "host_points": "definitions.points",
+    "host_points": "tracker.pairs",
     "information_from_rows": "definitions.information",
-    "linearise_pairs": "definitions.linearise",
+    "linearise_pairs": "tracker.pairs",
     "linearize": "definitions.photometric",
     "live": "runs.live",  # the module itself
     "mutual_information_bits": "definitions.information",
     "open_sequence": "datasets",
-    "pick_points": "definitions.points",
+    "pick_points": "tracker.pairs",
     "read_tum": "trajectory",
     "residual_noise": "definitions.linearise",
     "run": "odometry",
     "select_rows": "definitions.selection",
-    "tracking_pyramid": "definitions.points",
+    "tracking_pyramid": "tracker.pairs",
     "warp": "definitions.photometric",
     "write_tum": "trajectory",
 }

@@ -221,19 +221,25 @@ def prepare(rgbd: RgbdFrame, blur: float = 0.0) -> Frame:
             "record larger ones"
         )
     own = np.ascontiguousarray if rgbd.is_owned else partial(np.array, order="C")
-    images = [own(rgbd.gray.detach().numpy())]
-    while len(images) < LEVELS:
-        height, width = images[-1].shape
-        even = images[-1][: max(height // 2, 1) * 2, : max(width // 2, 1) * 2]
-        images.append(cv2.resize(even, (max(width // 2, 1), max(height // 2, 1)), interpolation=cv2.INTER_AREA))
-    for image in images[1:]:
-        cv2.GaussianBlur(image, (5, 5), COARSE_BLUR, dst=image)  # in place: fresh memory costs more than the blur
+    images = gray_pyramid(own(rgbd.gray.detach().numpy()), LEVELS)
     sharp = images[0]
     if blur > 0.0:
         images[0] = cv2.GaussianBlur(images[0], (5, 5), blur)
     depth = own(rgbd.depth.detach().numpy())
     color = rgbd.color if rgbd.color is None or rgbd.is_owned else rgbd.color.clone()
     return Frame(rgbd.timestamp, rgbd.camera, tuple(images), depth, color, sharp)
+
+
+def gray_pyramid(image: Image, levels: int) -> list[Image]:
+    """The image (H, W) float32 itself and its levels - 1 halvings, blurred."""
+    images = [image]
+    while len(images) < levels:
+        height, width = images[-1].shape
+        even = images[-1][: max(height // 2, 1) * 2, : max(width // 2, 1) * 2]
+        images.append(cv2.resize(even, (max(width // 2, 1), max(height // 2, 1)), interpolation=cv2.INTER_AREA))
+    for image in images[1:]:
+        cv2.GaussianBlur(image, (5, 5), COARSE_BLUR, dst=image)  # in place: fresh memory costs more than the blur
+    return images
 
 
 @dataclass(frozen=True)

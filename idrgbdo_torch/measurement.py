@@ -125,6 +125,8 @@ class Aligned(NamedTuple):
     seen: int  # points
     kept: int  # points within the outlier limit
     change: float  # standard deviations, the last step's size
+    affine_centre: Array  # (2,) the brightness prior of the finest level: what level 1 found,
+    affine_information: Array  # (2, 2) and how surely
 
 
 class Rows(NamedTuple):

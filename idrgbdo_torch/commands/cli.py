@@ -19,6 +19,7 @@ from ..config import Config, settings_file
 from ..errors import IdRgbdoError
 from ..text import configfile
 from ..text.plain import plain
+from .bench import BenchCommand, bench
 from .check import CheckCommand, check
 from .compare import CompareCommand, compare
 from .completion import CompletionCommand, completion
@@ -43,13 +44,14 @@ First look: `idrgbdo demo`. A recording: `idrgbdo run FOLDER`. Every command tak
 Command = (
     RunCommand | LiveCommand | CheckCommand | MeshCommand | VideoCommand | EvaluateCommand | SynthCommand | DemoCommand
     | CompareCommand | DownloadCommand | DoctorCommand | ExperimentCommand | ExportCommand | NodeCommand
-    | CompletionCommand
+    | CompletionCommand | BenchCommand
 )  # fmt: skip
 ACTIONS: dict[type, Callable[..., int]] = {
     RunCommand: run, LiveCommand: live, CheckCommand: check, MeshCommand: mesh, VideoCommand: video,
     EvaluateCommand: evaluate, SynthCommand: synth, DemoCommand: demo, CompareCommand: compare,
     DownloadCommand: download, DoctorCommand: doctor, ExperimentCommand: experiment,
     ExportCommand: export, NodeCommand: node, CompletionCommand: completion,
+    BenchCommand: bench,
 }  # fmt: skip
 
 
@@ -112,6 +114,7 @@ def parse(argv: list[str]) -> Command:
         | Annotated[CompareCommand, subcommand("compare")]
         | Annotated[DownloadCommand, subcommand("download")]
         | Annotated[DoctorCommand, subcommand("doctor")]
+        | Annotated[BenchCommand, subcommand("bench", default=BenchCommand(settings=settings))]
         | Annotated[ExperimentCommand, subcommand("experiment")]
         | Annotated[NodeCommand, subcommand("node", default=NodeCommand(settings=settings))]
         | Annotated[CompletionCommand, subcommand("completion")]

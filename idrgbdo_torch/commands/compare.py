@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import hashlib
 import importlib
 import json
 import sys
@@ -108,7 +107,9 @@ def known_methods(add: Path | None) -> dict[str, Method]:
     if folder not in sys.path:
         sys.path.insert(0, folder)  # so that the process in which a method runs can import it too
     try:
-        digest = hashlib.sha256(add.read_bytes()).hexdigest()
+        from hashlib import sha256
+
+        digest = sha256(add.read_bytes()).hexdigest()
         if _is_at(add) and _imported.get(add.resolve(), digest) != digest:
             del sys.modules[add.stem]  # edited since
         module = importlib.import_module(add.stem)

@@ -30,20 +30,27 @@ class DemoCommand:
     settings: Settings = field(default_factory=Config)
 
 
-def demo(command: DemoCommand) -> int:
-    """Render the demo's sequence unless it is in the cache, track it, and say how to go on with one's own."""
-    from ..datasets import open_sequence
-    from ..report.viewer import open_viewer
-    from ..runs.source import Reading
-    from .observers import Viewing
+def demo_folder() -> Path:
+    """The demo's sequence, rendered unless it is in the cache."""
     from .synth import render
-    from .track import Job, track
 
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "idrgbdo"
     folder = cache / f"demo_{DEMO.kind}_{DEMO.frames}_{__version__}"
     if not (folder / "rgb.txt").exists():
         print(f"rendering {DEMO.frames} frames of a desk into {folder} (once)", flush=True)
         render(DEMO, folder)
+    return folder
+
+
+def demo(command: DemoCommand) -> int:
+    """Track the demo's sequence, and say how to go on with one's own."""
+    from ..datasets import open_sequence
+    from ..report.viewer import open_viewer
+    from ..runs.source import Reading
+    from .observers import Viewing
+    from .track import Job, track
+
+    folder = demo_folder()
     with open_viewer("demo", command.viewer, command.save_rrd) as viewer:
         observers = [Viewing(viewer)] if viewer else []
         job = Job(open_sequence(folder), "demo", command.settings, reading=Reading(folder, {}))

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import importlib
 import os
-import platform
 import sys
 from dataclasses import asdict, dataclass, field
-from importlib import metadata
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated
@@ -17,7 +15,6 @@ from tyro.conf import arg
 from .. import __version__
 from ..errors import IdRgbdoError
 from ..synthetic.config import SynthConfig
-from ..tracker.open3d_loader import load_open3d
 from .output import Output, answer
 
 NEEDED = {  # distribution: module
@@ -66,7 +63,9 @@ class Item:
 
 def versions() -> list[Item]:
     """This package, Python, and every package that is needed; each is imported."""
-    python = f"{platform.python_version()}, {sys.executable}"
+    from ..tracker.open3d_loader import load_open3d
+
+    python = f"{sys.version.split()[0]}, {sys.executable}"
     items = [
         Item("idrgbdo_torch", __version__),
         Item("python", python, sys.version_info >= (3, 11), "use 3.11 or newer"),
@@ -102,6 +101,8 @@ def decoders() -> list[Item]:
 
 def machine() -> list[Item]:
     """System, processor, and what torch makes of it."""
+    import platform
+
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     import torch
 
@@ -156,6 +157,8 @@ def self_test() -> Item:
 
 def _package(distribution: str, module: str) -> Item:
     """Its version, if it can be imported."""
+    from importlib import metadata  # late: it takes a tenth of what --help does
+
     try:
         version = metadata.version(distribution)
         importlib.import_module(module)
@@ -173,6 +176,8 @@ def _decoder(distribution: str, module: str, library: str) -> str:
 
 def _processor() -> str:
     """The processor's name, where the system tells it."""
+    import platform
+
     info = Path("/proc/cpuinfo")
     lines = info.read_text(encoding="utf-8", errors="replace").splitlines() if info.exists() else []
     names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from statistics import median
 from typing import Annotated
 
 from tyro.conf import Positional, arg
@@ -34,6 +33,8 @@ class VideoCommand:
 
 def video(command: VideoCommand) -> int:
     """Track a recording, or that of a run again with the same settings, and write what is seen."""
+    from statistics import median
+
     from ..report.terminal import progress_bar, show_table
     from ..report.video import pictures, write_video
     from ..tracker.id_rgbdo import IdRgbdo

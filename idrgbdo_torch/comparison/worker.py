@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -16,6 +15,7 @@ from ..errors import IdRgbdoError
 from ..evaluation import evaluate
 from ..odometry import Record, run
 from ..runs.folder import RunFolder, measurements, summarise
+from ..runs.machine import peak_memory_mb
 from .methods import Method
 
 STDERR = "stderr.txt"
@@ -123,23 +123,9 @@ def _work(connection: Connection, method: Method, seed: int, source: Source, fol
             "track_ms_median": timing["track_median"],
             "track_ms_p95": timing["track_p95"],
             "decode_ms_median": timing["decode_median"],
-            "peak_memory_mb": _peak_memory_mb(),
+            "peak_memory_mb": peak_memory_mb(),
         }
     )
-
-
-def _peak_memory_mb() -> float | None:
-    """The most memory this process ever held, MB; None where the system does not say."""
-    status = Path("/proc/self/status")
-    if status.exists():  # getrusage would include what the parent held before this process began
-        lines = [line.split() for line in status.read_text().splitlines() if line.startswith("VmHWM")]
-        return float(lines[0][1]) / 1024 if lines else None
-    if sys.platform == "win32":
-        return None
-    import resource
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1024**2 if sys.platform == "darwin" else 1024)
 
 
 def _last_words(stderr: Path, exit_code: int | None) -> str:

@@ -45,7 +45,7 @@ def extremes(image: Tensor) -> tuple[float, float]:
 def check_metres(depth: Tensor) -> None:
     """Raises IdRgbdoError where most of the depth (..., H, W), 0 for none, is further than any depth camera sees."""
     z = depth.detach()[..., ::4, ::4]
-    z = z[z > 0]
+    z = z[(z > 0) & z.isfinite()]
     if len(z) and float(z.median()) > FARTHEST_M:
         raise IdRgbdoError(
             f"depth: expected metres, got a median of {float(z.median()):.4g}; divide by 1000 if these are millimetres"
@@ -55,7 +55,10 @@ def check_metres(depth: Tensor) -> None:
 def checked_targets(
     points: HostPoints, gray: Tensor, depth: Tensor | None, camera: Pinhole
 ) -> tuple[Tensor, Tensor | None]:
-    """Images (B, H, W) as align_pairs takes them: floats, depth 0 where it is none. Raises IdRgbdoError as it says."""
+    """Images (B, H, W) as align_pairs takes them: floats, of the camera's size. Raises IdRgbdoError as it says.
+
+    Nothing here looks at a value, so no device is waited for.
+    """
     size = (camera.height, camera.width)
     for name, image in (("gray", gray), ("depth", depth)):
         if image is not None and tuple(image.shape) != (len(points.uv), *size):
@@ -64,23 +67,35 @@ def checked_targets(
                 f"got {tuple(image.shape)}; pass the camera of these images (camera.at_level(1) for half the size)"
             )
     gray = gray if gray.is_floating_point() else gray.float()
-    check_gray(gray)
-    if float(points.patch[0].detach().amax()) <= 1 < float(gray.detach().amax()):
-        raise IdRgbdoError("points: expected patches of gray levels 0..255, got 0..1; multiply the images by 255")
-    known = points.inverse_depth.detach()
-    check_metres(torch.where(known > 0, 1 / known.clamp(min=1e-9), 0.0)[..., None, None].expand(*known.shape, 1, 1))
     if depth is not None:
         depth = depth if depth.is_floating_point() else depth.float()
-        depth = torch.where(depth.isfinite() & (depth > 0), depth, 0.0)
-        check_metres(depth)
     return gray, depth
 
 
-def believable(points: HostPoints, gray: Tensor, rms: Tensor, affine: Tensor) -> Tensor:
-    """(B,) bool: whether the images show the same: points in view, residuals within the noise, contrast left."""
+def check_points(points: HostPoints, gray: Tensor, depth: Tensor | None) -> None:
+    """Raises IdRgbdoError where points or images (B, H, W) are in other units than gray levels 0..255 and metres."""
+    check_gray(gray)
+    check_levels(points, float(gray.detach().amax()))
+    if depth is not None:
+        check_metres(depth)
+
+
+def check_levels(points: HostPoints, brightest: float) -> None:
+    """Raises IdRgbdoError where the points have other units than images up to so many gray levels, or than metres."""
+    if float(points.patch[0].detach().amax()) <= 1 < brightest:
+        raise IdRgbdoError("points: expected patches of gray levels 0..255, got 0..1; multiply the images by 255")
+    known = points.inverse_depth.detach()
+    check_metres(torch.where(known > 0, 1 / known.clamp(min=1e-9), 0.0)[..., None, None].expand(*known.shape, 1, 1))
+
+
+def believable(points: HostPoints, contrast: Tensor, rms: Tensor, affine: Tensor) -> Tensor:
+    """(B,) bool: whether the images show the same: points in view, residuals within the noise, contrast left.
+
+    contrast: (B,) standard deviation of the targets' gray levels.
+    """
     there, seen = (points.inverse_depth > 0).sum(-1), rms >= 0
     typical = torch.where(seen, rms, torch.nan).nanmedian(-1).values
     in_view = seen.sum(-1) >= LEAST_VIEW * there
-    contrast, hosts = gray.flatten(1).std(-1), points.patch[0].flatten(1).std(-1)
+    hosts = points.patch[0].flatten(1).std(-1)
     clear = (affine[:, 0].abs() <= LARGEST_GAIN) & (contrast >= LEAST_CONTRAST * hosts)
     return in_view & (typical <= LARGEST_RMS) & clear

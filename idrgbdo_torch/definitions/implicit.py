@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from .solver import solve
+from .solver import nothing_left, solve
 
 STEPS = 8  # at most, from where a search settled to where nothing moves
 STILL = 1e-20  # squared standard deviations; a smaller step is rounding
@@ -25,14 +25,16 @@ def implicit_root(equation: Callable[[Tensor], tuple[Tensor, Tensor]], x: Tensor
     with torch.no_grad():
         H, b = equation(x)
         size = (b * solve(H, b).y).sum(-1)
+        active = torch.ones_like(size, dtype=torch.bool)
         for _ in range(STEPS):
             x_new = x + _divided(J, b)
             H, b_new = equation(x_new)
             size_new = (b_new * solve(H, b_new).y).sum(-1)
-            better = size_new < size
+            better = active & (size_new < size)
             x, b = torch.where(better[:, None], x_new, x), torch.where(better[:, None], b_new, b)
             size = torch.where(better, size_new, size)
-            if not bool((better & (size > STILL)).any()):
+            active = better & (size > STILL)
+            if nothing_left(active):
                 break
     return x + _divided(_slope(equation, x), equation(x)[1])
 

@@ -152,7 +152,7 @@ def linearise_pairs(
     variance = residual_variance(h, phi) / point_weight(points, pixels)  # (B, N, P)
 
     seen = term.valid & front & exists
-    robust = torch.as_tensor(scale, dtype=d.dtype)[..., None, None]
+    robust = torch.as_tensor(scale, dtype=d.dtype, device=d.device)[..., None, None]
     s = term.r / variance.sqrt() / robust
     rms = s.detach().square().mean(-1).sqrt()
     kept = seen & (rms <= limit)
@@ -200,7 +200,7 @@ def depth_rows(
 def point_weight(points: HostPoints, pixels: int) -> Tensor:
     """The points' weights as (B, N, P) or a broadcasting one."""
     if points.weight is None:
-        return torch.ones(1, 1, 1, dtype=points.inverse_depth.dtype)
+        return points.inverse_depth.new_ones(1, 1, 1)
     weight = points.weight.to(points.inverse_depth)
     return weight[..., None] if weight.ndim == 2 else weight[..., :pixels]
 

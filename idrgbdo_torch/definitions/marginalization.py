@@ -92,7 +92,7 @@ def redundancy_bits(information: Tensor) -> Tensor:
     K = information.shape[0] // 6
     scale = information.diagonal().rsqrt()  # mutual information knows no units, so scale them away
     blocks = (scale[:, None] * information * scale).reshape(K, 6, K, 6).permute(0, 2, 1, 3)  # (K, K, 6, 6)
-    i, j = torch.triu_indices(K, K, offset=1)
+    i, j = torch.triu_indices(K, K, offset=1, device=information.device)
     top = torch.cat([blocks[i, i], blocks[i, j]], dim=-1)  # (M, 6, 12)
     bottom = torch.cat([blocks[j, i], blocks[j, j]], dim=-1)
     pair = cholesky(torch.cat([top, bottom], dim=-2), "information, the block of two keyframes")

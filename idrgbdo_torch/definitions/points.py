@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import sqrt
 
 import torch
 from torch import Tensor
@@ -51,7 +52,7 @@ def pick_points(gray: Tensor, depth: Tensor, count: int) -> tuple[Tensor, Tensor
     score = gradient(gray).square().sum(-3)
     score = torch.where((nearest > 0) & (farthest <= ONE_SURFACE * nearest), score, 0.0)
     inner = score[:, BORDER : height - BORDER, BORDER : width - BORDER]
-    cell = max(1, round((inner.shape[-1] * inner.shape[-2] / count) ** 0.5))
+    cell = cell_of(inner.shape[-1] * inner.shape[-2], count)
     best, index = max_pool2d(inner[:, None], cell, ceil_mode=True, return_indices=True)
     best, index = best.flatten(1), index.flatten(1)  # (B, N)
     u = BORDER + index % inner.shape[-1]
@@ -60,6 +61,11 @@ def pick_points(gray: Tensor, depth: Tensor, count: int) -> tuple[Tensor, Tensor
     there = (best > 0) & (z > 0)
     inverse_depth = torch.where(there, 1 / torch.where(there, z, 1.0), 0.0)
     return torch.stack([u, v], dim=-1).double(), inverse_depth
+
+
+def cell_of(pixels: int, count: int) -> int:
+    """Side in px of about so many square cells."""
+    return max(1, round(sqrt(pixels / count)))
 
 
 @door
@@ -72,16 +78,21 @@ def host_points(
     sigma: of the inverse depths, 1/m, a number or (B, N); a Kinect's by default. weight: (B, N) or (B, N, 8), a factor
     above 0 on the information of a point or of its pixels, for example one that is learnt.
     """
+    variance = checked_variance(gray, uv, inverse_depth, sigma)
+    patches, gradients = sample_patterns(tracking_pyramid(gray, levels), uv, PATTERN)
+    return HostPoints(uv, inverse_depth, variance, tuple(patches), tuple(gradients), weight)
+
+
+def checked_variance(gray: Tensor, uv: Tensor, inverse_depth: Tensor, sigma: float | Tensor | None) -> Tensor:
+    """(B, N) variance of the inverse depths of host_points. Raises IdRgbdoError for shapes that do not fit."""
     if gray.ndim != 3 or uv.shape != (*inverse_depth.shape, 2) or uv.shape[0] != gray.shape[0]:
         raise IdRgbdoError(
             f"host_points: expected gray (B, H, W), uv (B, N, 2), inverse_depth (B, N), got {tuple(gray.shape)}, "
             f"{tuple(uv.shape)}, {tuple(inverse_depth.shape)}; pad shorter pairs with an inverse depth of 0"
         )
     kinect = inverse_depth_sigma(NoiseConfig().focal_baseline, NoiseConfig().sigma_disparity)
-    spread = torch.as_tensor(kinect if sigma is None else sigma, dtype=uv.dtype)
-    patches, gradients = sample_patterns(tracking_pyramid(gray, levels), uv, PATTERN)
-    variance = spread.square().expand_as(inverse_depth)
-    return HostPoints(uv, inverse_depth, variance, tuple(patches), tuple(gradients), weight)
+    spread = torch.as_tensor(kinect if sigma is None else sigma, dtype=uv.dtype, device=uv.device)
+    return spread.square().expand_as(inverse_depth)
 
 
 @door
@@ -98,7 +109,7 @@ def sample_patterns(images: Sequence[Tensor], uv: Tensor, pattern: Tensor) -> tu
     """
     patches, gradients = [], []
     for level, image in enumerate(images):
-        last = torch.tensor([image.shape[-1] - 2.001, image.shape[-2] - 2.001], dtype=uv.dtype)
+        last = uv.new_tensor([image.shape[-1] - 2.001, image.shape[-2] - 2.001])
         at = (at_level(uv, level)[..., None, :] + pattern.to(uv)).clamp(min=1.0).minimum(last)
         intensity, gradient, _ = sample_with_gradient(image, at)
         patches.append(intensity)
@@ -113,7 +124,7 @@ def at_level(uv: Tensor, level: int) -> Tensor:
 
 def _blurred(image: Tensor) -> Tensor:
     """A 5x5 Gaussian of COARSE_BLUR px, reflected at the border; image (B, H, W)."""
-    at = torch.arange(-2, 3, dtype=image.dtype)
+    at = torch.arange(-2, 3, dtype=image.dtype, device=image.device)
     kernel = torch.exp(-0.5 * (at / COARSE_BLUR) ** 2)
     kernel = kernel / kernel.sum()
     padded = pad(image[:, None], (2, 2, 2, 2), mode="reflect")

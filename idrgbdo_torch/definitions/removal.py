@@ -26,7 +26,8 @@ def next_view_bits(information: Tensor, links: Tensor, adjoints: Tensor) -> Tens
     K = len(links)
     scale = information.diagonal().clamp(min=1e-12).rsqrt()
     unit = scale[:, None] * information * scale
-    covariance = scale[:, None] * torch.linalg.inv(unit + UNKNOWN * torch.eye(6 * K).to(unit)) * scale
+    unknown = UNKNOWN * torch.eye(6 * K, dtype=unit.dtype, device=unit.device)
+    covariance = scale[:, None] * torch.linalg.inv(unit + unknown) * scale
     moved = _blocks(adjoints)
     floor = LINK_FLOOR * links.diagonal(dim1=1, dim2=2).amax(0)
     placings = moved @ covariance @ moved.mT + _blocks(torch.linalg.inv(links + torch.diag(floor)))
@@ -36,7 +37,8 @@ def next_view_bits(information: Tensor, links: Tensor, adjoints: Tensor) -> Tens
     own = W.diagonal(dim1=0, dim2=2).permute(2, 0, 1)  # (K, 6, 6)
     lost = w @ torch.linalg.solve(own, w.mT)
     share = torch.linalg.solve(w.sum(0).expand(K, 6, 6), lost)
-    bits: Tensor = -0.5 * torch.linalg.slogdet(torch.eye(6).to(share) - share).logabsdet / log(2.0)
+    eye = torch.eye(6, dtype=share.dtype, device=share.device)
+    bits: Tensor = -0.5 * torch.linalg.slogdet(eye - share).logabsdet / log(2.0)
     return bits
 
 
@@ -44,5 +46,6 @@ def _blocks(blocks: Tensor) -> Tensor:
     """(6K, 6K) with the blocks (K, 6, 6) on its diagonal."""
     K = len(blocks)
     out = blocks.new_zeros(K, 6, K, 6)
-    out[torch.arange(K), :, torch.arange(K)] = blocks
+    k = torch.arange(K, device=blocks.device)
+    out[k, :, k] = blocks
     return out.reshape(6 * K, 6 * K)

@@ -97,7 +97,7 @@ def select_rows(
     deviation = deviation[:, None] if deviation.ndim == 1 else deviation
     rows = rows / deviation[..., None].expand(*rows.shape[:2], 1)
     if not len(rows):
-        return torch.zeros(0, dtype=torch.int64)
+        return torch.zeros(0, dtype=torch.int64, device=J.device)
     if information is None:
         everything = rows.square().sum((0, 1))
         information = torch.diag(torch.where(everything > 0, FLOOR * everything, 1.0))
@@ -105,7 +105,7 @@ def select_rows(
         where, distance = cells.double()[:, None], 0.5  # of one cell is nearer than that
     config = replace(DEFAULTS, distance=distance)
     if radius is None:
-        radius, config = torch.zeros(len(rows)), replace(config, spread=0.0)
+        radius, config = rows.new_zeros(len(rows)), replace(config, spread=0.0)
     return select_informative(rows, radius.double(), count, information, config, where)
 
 
@@ -160,7 +160,7 @@ def select_informative(
             f"{tuple(information.shape)} and m = {m}; a single Jacobian row a point is (N, 1, D)"
         )
     rows, information = rows.double(), information.double().clone()
-    free = torch.ones(len(rows), dtype=torch.bool)
+    free = torch.ones(len(rows), dtype=torch.bool, device=rows.device)
     chosen: list[int] = []
 
     def take(best: int) -> None:
@@ -168,7 +168,7 @@ def select_informative(
         free[best] = False
         if where is not None and config.distance > 0.0:
             free.logical_and_((where - where[best]).square().sum(dim=-1) >= config.distance**2)
-        information.add_(information_from_rows(rows[best], torch.ones(rows.shape[1])))
+        information.add_(information_from_rows(rows[best], rows.new_ones(rows.shape[1])))
 
     for k in range(rows.shape[-1]):  # the largest derivative of each degree of freedom
         size = rows[..., k].square().sum(dim=-1).where(free, -torch.inf)
@@ -182,7 +182,7 @@ def select_informative(
         value = point_value(gain, radius, z, config.c_z, config.spread if in_bits else 1.0)
         take(int(value.where(free, -torch.inf).argmax()))
         z = max(0.0, z - step)
-    return torch.tensor(chosen, dtype=torch.int64)
+    return torch.tensor(chosen, dtype=torch.int64, device=rows.device)
 
 
 def select_by_definition(rows: Rows, radius: Array, m: int, information: Array, config: SelectionConfig) -> Array:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+ASKED = frozenset({"cpu"})  # devices that know at once whether a search may end
 MIN_PIVOT = 1e-13  # of a unit-diagonal matrix: the share of a variable's information that the others do not explain
 
 
@@ -16,7 +17,16 @@ class Solution:
 
     y: Tensor  # (..., m) float64; zero where not ok
     ok: Tensor  # (...) bool
-    reason: str  # one sentence about the first failure; empty when all are ok
+    finite: Tensor  # (...) bool: the equations were
+
+    @property
+    def reason(self) -> str:
+        """One sentence about the first failure; empty when all are ok. A GPU is waited for only where this is asked."""
+        if bool(self.ok.all()):
+            return ""
+        if not bool(self.finite.all()):
+            return "the normal equations contain a value that is not finite"
+        return "the normal equations are singular: the measurements leave a direction free"
 
 
 def normal_equations(
@@ -57,13 +67,16 @@ def solve(H: Tensor, b: Tensor, damping: float | Tensor = 0.0) -> Solution:
     factor = torch.where(ok[..., None, None], factor, eye)
     rhs = torch.where(ok[..., None], scale * b, 0.0)
     y = scale * torch.cholesky_solve(rhs[..., None], factor)[..., 0]
-    if bool(ok.all()):
-        reason = ""
-    elif not bool(finite.all()):
-        reason = "the normal equations contain a value that is not finite"
-    else:
-        reason = "the normal equations are singular: the measurements leave a direction free"
-    return Solution(y, ok, reason)
+    return Solution(y, ok, finite)
+
+
+def nothing_left(active: Tensor) -> bool:
+    """Whether a search may end, since none of it is active: where a device is ASKED.
+
+    Elsewhere the answer would wait for every kernel that was launched before, step by step, so it is never asked; what
+    has settled is masked, and the steps that are left change nothing.
+    """
+    return active.device.type in ASKED and not bool(active.any())
 
 
 def huber_weight(r: Tensor, threshold: float | Tensor, limit: float | Tensor = float("inf")) -> Tensor:

@@ -1,15 +1,14 @@
-"""B frame pairs aligned at once (section 4.2): coarse to fine, damped Gauss-Newton, robust; differentiable if asked."""
+"""Pose tracking of B frame pairs at once (section 4.2): coarse to fine, damped Gauss-Newton, robust."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from ..errors import IdRgbdoError, door
 from ..measurement import (
     FLOOR,
     PIXELS,
@@ -23,18 +22,14 @@ from ..measurement import (
     Subset,
     View,
 )
-from .camera import Pinhole
-from .checks import believable, checked_targets
 from .convert import SMALLEST, Array, chosen, inverse_of_depth, matrix, noise_of_arrays, pinhole
-from .implicit import implicit_root
-from .linearise import NormalEquations, ResidualNoise, Target, linearise_pairs, residual_noise, robust_scale
-from .points import HostPoints, tracking_pyramid
+from .linearise import NormalEquations, ResidualNoise, Target, linearise_pairs, robust_scale
+from .points import HostPoints
 from .se3 import inverse, log, retract
-from .solver import brightness_information, pose_information, solve
+from .solver import brightness_information, nothing_left, solve
 
 STEPS = (8, 10, 12, 12)  # most iterations per level, finest first
 NOTHING = torch.zeros(0)
-FEWEST = 6  # points, for six degrees of freedom
 AFFINE_SIGMA = (0.1, 10.0)  # of gain and gray levels, about the guess
 
 
@@ -70,19 +65,6 @@ class Estimate:
     change: Tensor  # (B,) the last step in standard deviations
 
 
-@dataclass(frozen=True)
-class AlignedPairs:
-    """B poses, how certain they are, and what became of the points."""
-
-    T_target_host: Tensor  # (B, 4, 4) float64
-    affine: Tensor  # (B, 2) brightness of the target relative to the host: gain e^a, offset b
-    information: Tensor  # (B, 6, 6) of a left increment of the pose, brightness marginalised, prior excluded
-    rms: Tensor  # (B, N) whitened residual of each point, -1 where it is not seen
-    kept: Tensor  # (B, N) bool, points that took part
-    iterations: Tensor  # (B,)
-    ok: Tensor  # (B,) bool: everything finite, most points seen, their residuals what the noise lets expect
-
-
 def prior_at(T_target_host: Tensor, information: Tensor | None = None, affine: Tensor | None = None) -> Prior:
     """What is known of B pairs beforehand: a Gaussian about poses (B, 4, 4) and brightness.
 
@@ -90,79 +72,11 @@ def prior_at(T_target_host: Tensor, information: Tensor | None = None, affine: T
     the target relative to the host, the same by default; it is held to AFFINE_SIGMA about that.
     """
     B = len(T_target_host)
-    known = torch.zeros(6, 6) if information is None else information
-    brightness = torch.zeros(B, 2) if affine is None else affine
-    spread = torch.diag(torch.tensor(AFFINE_SIGMA, dtype=torch.float64) ** -2).expand(B, 2, 2)
-    return Prior(T_target_host.double(), known.double().expand(B, 6, 6), brightness.double(), spread)
-
-
-@door
-def align_pairs(
-    points: HostPoints, gray: Tensor, camera: Pinhole, *, depth: Tensor | None = None,
-    T_guess: Tensor | Prior | None = None, noise: ResidualNoise | None = None, steps: Sequence[int] = STEPS,
-    gradient_steps: int = 1,
-) -> AlignedPairs:  # fmt: skip
-    """Align target images gray (B, H, W) to the keyframes of the points, all pairs at once.
-
-    depth: (B, H, W) m of the targets, 0 where missing; without it brightness alone counts. T_guess: (B, 4, 4) of
-    T_target_host, where the search starts, identity by default; a prior (see prior_at) is started from and held too.
-    steps: most iterations per level, finest first. gradient_steps: what autograd sees. 0: nothing; 1: the result as an
-    implicit function of its inputs, after the search has gone on until nothing moves; more: so many Gauss-Newton steps.
-    Raises IdRgbdoError for images of another size than the camera's, gray levels in 0..1, depth in millimetres.
-    """
-    B = len(points.uv)
-    gray, depth = torch.as_tensor(gray), None if depth is None else torch.as_tensor(depth)
-    if gray.ndim != 3 or len(gray) != B or len(points.patch) < len(steps):
-        raise IdRgbdoError(
-            f"align_pairs: expected gray ({B}, H, W) and points with {len(steps)} levels, got {tuple(gray.shape)} and "
-            f"{len(points.patch)}; pass as many images as pairs, and levels to host_points"
-        )
-    gray, depth = checked_targets(points, gray, depth, camera)
-    noise = noise or residual_noise()
-    guess = torch.eye(4, dtype=torch.float64).expand(B, 4, 4) if T_guess is None else T_guess
-    prior = guess if isinstance(guess, Prior) else prior_at(guess)
-    inverse_depth = None if depth is None else torch.where(depth > 0, 1 / depth.clamp(min=1e-6), 0.0)
-    images = tracking_pyramid(gray, len(steps))
-    problems = [Problem(points, Target(k, images[k], camera, inverse_depth), steps[k]) for k in range(len(steps))]
-
-    with torch.no_grad():
-        found = descend(problems, prior, noise)
-    T, a = found.T_target_host, found.affine
-
-    def system_at(T: Tensor, a: Tensor) -> NormalEquations:
-        return linearise_pairs(points, problems[0].target, T, a, noise, found.scale, noise.outlier)
-
-    system = system_at(T, a)
-    implicit = gradient_steps == 1 and system.b.requires_grad
-    for _ in range(gradient_steps):
-        T, a = _converged(system_at, T, a, found.prior) if implicit else _stepped(system, T, a, found.prior)
-        system = system_at(T, a)
-    certain = pose_information(system.H, found.prior.affine_information)
-    finite = T.isfinite().all(-1).all(-1) & certain.isfinite().all(-1).all(-1)
-    ok = finite & (system.kept.sum(-1) >= FEWEST) & believable(points, gray, system.rms, a)
-    return AlignedPairs(T, a, certain, system.rms, system.kept, found.iterations, ok)
-
-
-def _stepped(system: NormalEquations, T: Tensor, a: Tensor, prior: Prior) -> tuple[Tensor, Tensor]:
-    """One Gauss-Newton step."""
-    H, b, _ = with_prior(system, T, a, prior)
-    step = solve(H + FLOOR * torch.eye(8, dtype=H.dtype), b).y
-    return retract(step[:, :6], T), a + step[:, 6:]
-
-
-def _converged(
-    system_at: Callable[[Tensor, Tensor], NormalEquations], T: Tensor, a: Tensor, prior: Prior
-) -> tuple[Tensor, Tensor]:
-    """The pose and brightness nearby at which nothing moves, with their gradient."""
-    floor = FLOOR * torch.eye(8, dtype=torch.float64)
-
-    def equation(x: Tensor) -> tuple[Tensor, Tensor]:
-        moved = retract(x[:, :6], T), a + x[:, 6:]
-        H, b, _energy = with_prior(system_at(*moved), *moved, prior)
-        return H + floor, b
-
-    x = implicit_root(equation, a.new_zeros(len(a), 8))
-    return retract(x[:, :6], T), a + x[:, 6:]
+    T = T_target_host.double()
+    known = T.new_zeros(6, 6) if information is None else information
+    brightness = T.new_zeros(B, 2) if affine is None else affine
+    spread = torch.diag(T.new_tensor(AFFINE_SIGMA) ** -2).expand(B, 2, 2)
+    return Prior(T, known.double().expand(B, 6, 6), brightness.double(), spread)
 
 
 def descend(problems: Sequence[Problem], prior: Prior, noise: ResidualNoise) -> Estimate:
@@ -173,7 +87,8 @@ def descend(problems: Sequence[Problem], prior: Prior, noise: ResidualNoise) -> 
     first. The brightness that the many points of level 1 agree on is the prior of the finest.
     """
     B, last = len(prior.affine), len(problems) - 1
-    found = _Found(prior.T_target_host, prior.affine, torch.zeros(B, dtype=torch.int64), prior.affine.new_zeros(B))
+    nothing = prior.affine.new_zeros(B)
+    found = _Found(prior.T_target_host, prior.affine, nothing.long(), nothing)
     scale = prior.affine.new_ones(B)
     for level in reversed(range(len(problems))):
         problem = problems[level]
@@ -209,7 +124,7 @@ def _search(
     system = _system(problem, T, affine, noise, scale)
     H, b, energy = with_prior(system, T, affine, prior)
     rms, seen = system.rms, system.seen.sum(-1)
-    eye = torch.eye(8, dtype=H.dtype)
+    eye = torch.eye(8, dtype=H.dtype, device=H.device)
     damping = torch.zeros_like(energy)
     active = torch.ones_like(energy, dtype=torch.bool)
     for _ in range(problem.steps):
@@ -233,7 +148,7 @@ def _search(
         shrunk = torch.where(damping < 4e-4, 0.0, 0.25 * damping)
         damping = torch.where(better, shrunk, (4 * damping).clamp(min=0.1))
         active = active & (better | (damping <= 1e4)) & (change >= settled)
-        if not bool(active.any()):
+        if nothing_left(active):
             break
     return _Found(T, affine, count, change, rms, H)
 
@@ -294,5 +209,6 @@ def align(
     H[6:, 6:] += found.prior.affine_information[0]
     return Aligned(
         T[0].numpy(), affine[0].numpy(), H.numpy(), system.rms[0].numpy(), float(found.scale), int(found.iterations),
-        int(system.seen.sum()), int(system.kept.sum()), float(found.change),
+        int(system.seen.sum()), int(system.kept.sum()), float(found.change), found.prior.affine[0].numpy(),
+        found.prior.affine_information[0].numpy(),
     )  # fmt: skip

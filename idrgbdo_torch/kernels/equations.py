@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..measurement import OTHER_SURFACE, STEP, Array
+from ..measurement import OTHER_SURFACE, PIXELS, STEP, Array
 from . import patch as at
 from .compiled import exact_kernel
 from .image import sample_inverse_depth
@@ -90,10 +90,11 @@ def add_patches(room, equations):
 
 
 @exact_kernel
-def measure_depths(depth, camera, size, room, noise, jacobians):
+def measure_depths(depth, camera, size, room, noise, jacobians, weights=None):
     """Fill the depth residuals of the points seen, their gradients and weights (0 where there is none); the energy.
 
     depth (H, W) m of level 0; size: of one of its pixels on this level; VAR_D: what the inverse depths leave open.
+    weights: rows of lanes, of which the last is a factor on a depth's information.
     """
     fx, fy, cx, cy = camera
     rows = room.points
@@ -114,6 +115,8 @@ def measure_depths(depth, camera, size, room, noise, jacobians):
         r = measured - rows[at.RHO + n]
         stretch = rows[at.IZ + n] ** 2  # d rho / d d, up to the small t_z term
         w = 1.0 / (noise.var_depth + stretch * stretch * rows[at.VAR_D + n] + noise.var_pixel * (gu * gu + gv * gv))
+        if weights is not None:
+            w *= weights[LANES * PIXELS + n]
         s = sqrt(r * r * w)
         if s > OTHER_SURFACE * huber:  # another surface: constant cost, no weight
             energy += (2.0 * OTHER_SURFACE - 1.0) * huber * huber

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from math import exp, sqrt
 
+import numpy as np
+
+from ..measurement import PIXELS
 from . import patch as at
 from .compiled import exact_kernel
 from .equations import add_depths, add_patches, add_up, measure_depths, new_equations, pose_jacobians
@@ -11,11 +14,12 @@ from .patch import LANES, Brightness, forget_unseen, lanes_for, new_room, patch_
 
 
 @exact_kernel
-def linearise(view, level, points, subset, state, scale, limit, noise, system):
+def linearise(view, level, points, subset, state, scale, limit, noise, system, weight=None):
     """Normal equations of one level at one pose.
 
     view: View; subset: the points and pixels that count; state: State. scale: robust scale of the whitened residuals;
-    limit: saturation of a point's rms in units of scale. Fills system: System.
+    limit: saturation of a point's rms in units of scale. Fills system: System. weight: (N, P) factors above 0 on the
+    information of all points' pixels; where there are none they are not even compiled.
     Returns (energy, points seen, points within the limit).
     """
     image, cam = view.images[level], view.cameras[level]
@@ -25,13 +29,15 @@ def linearise(view, level, points, subset, state, scale, limit, noise, system):
     bright = Brightness(exp(state.affine[0]), 0.0, state.affine[1], 1.0 / (scale * scale))
     whole = new_room(count)
     equations = new_equations()
+    weights = new_weights(weight)
     energy = 0.0
     seen = 0
     kept = 0
     for first in range(0, index.shape[0], LANES):
         room = lanes_for(whole, index.shape[0] - first)
         host_rows(points, index, first, level, room)
-        patch_sums(image, camera, state.T, bright, noise, room)
+        host_weights(weight, index, first, room, weights)
+        patch_sums(image, camera, state.T, bright, noise, room, weights)
         rows = room.points
         for n in range(min(room.lanes, index.shape[0] - first)):
             rms[first + n] = -1.0
@@ -50,7 +56,7 @@ def linearise(view, level, points, subset, state, scale, limit, noise, system):
         pose_jacobians(camera, room, equations.jacobians)
         add_patches(room, equations)
         if noise.use_depth:
-            energy += measure_depths(view.depth, camera, 0.5**level, room, noise, equations.jacobians)
+            energy += measure_depths(view.depth, camera, 0.5**level, room, noise, equations.jacobians, weights)
             add_depths(room, equations)
     add_up(equations.system, system.H, system.b)
     return energy, seen, kept
@@ -75,3 +81,25 @@ def host_rows(points, index, first, level, room):
             pixels[at.VALUE + row] = points.patch[level, p, k]
             pixels[at.GRADIENT_U + row] = points.gradient[level, p, k, 0]
             pixels[at.GRADIENT_V + row] = points.gradient[level, p, k, 1]
+
+
+@exact_kernel
+def new_weights(weight):
+    """Room for the weights of LANES points, if there are any: a row a pixel, then their mean."""
+    if weight is None:
+        return None
+    return np.ones(LANES * (PIXELS + 1))
+
+
+@exact_kernel
+def host_weights(weight, index, first, room, weights):
+    """Fill the weights of some points of index from first, if there are any."""
+    if weight is None:
+        return
+    for n in range(room.lanes):
+        p = index[min(first + n, index.shape[0] - 1)]
+        total = 0.0
+        for k in range(PIXELS):
+            weights[LANES * k + n] = weight[p, k]
+            total += weight[p, k]
+        weights[LANES * PIXELS + n] = total / PIXELS

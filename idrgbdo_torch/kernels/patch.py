@@ -73,17 +73,18 @@ def lanes_for(room, points):
 
 
 @exact_kernel
-def patch_sums(image, camera, T, bright, noise, room):
+def patch_sums(image, camera, T, bright, noise, room, weights=None):
     """Fill all rows that the caller has not: what LANES points of a host tell about a target.
 
-    image (H, W), camera (fx, fy, cx, cy) of it; T: T_target_host.
+    image (H, W), camera (fx, fy, cx, cy) of it; T: T_target_host. weights: factors on the information of pixels, a
+    row of lanes for each.
     """
     place(camera, T, noise, room.points, room.lanes)
     project(image, camera, T, room)
     gather(image, room)
     room.points[SUMS:] = 0.0
     for k in range(room.used):
-        add_pixel(k, bright, noise, room)
+        add_pixel(k, bright, noise, room, weights)
 
 
 @exact_kernel
@@ -181,7 +182,7 @@ def gather(image, room):
 
 
 @exact_kernel
-def add_pixel(k, bright, noise, room):
+def add_pixel(k, bright, noise, room, weights=None):
     """Add pixel k to the sums.
 
     The variance comes from the host's gradient: it must not change with the pose, or the cost would reward places where
@@ -210,6 +211,8 @@ def add_pixel(k, bright, noise, room):
         gu = (1.0 - blend) * gu + blend * su
         gv = (1.0 - blend) * gv + blend * sv
         w = bright.weight * points[WEIGHT + n] / variance
+        if weights is not None:
+            w *= weights[LANES * k + n]
         s2 = r * r * w
         s = sqrt(s2)
         m = min(s, huber)

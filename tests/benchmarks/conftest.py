@@ -1,4 +1,7 @@
-"""Sizes of the benchmarks: as the documentation reports them with --benchmark-enable, tiny and untimed without."""
+"""Sizes of the benchmarks: as the documentation reports them with --benchmark-enable or --gate, else tiny and untimed.
+
+`pytest tests/benchmarks --gate` measures only the ratios, and fails where one is outside its range in ranges.json.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +10,30 @@ from collections.abc import Callable, Iterator
 import cv2
 import pytest
 import torch
+from gate import outside, wanted
 from rendered import Film, film
 
 from idrgbdo_torch.experiments import cost
 from idrgbdo_torch.synthetic import SynthConfig
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """--gate, where the benchmarks are named on the command line."""
+    parser.addoption("--gate", action="store_true", help="measure the ratios of ranges.json, fail outside of them")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """The gate has no use for times that nothing is compared with."""
+    if config.getoption("--gate", default=False):
+        timed = [item for item in items if "benchmark" in getattr(item, "fixturenames", ())]
+        config.hook.pytest_deselected(items=timed)
+        items[:] = [item for item in items if item not in timed]
+
+
 @pytest.fixture(scope="session")
 def full(request: pytest.FixtureRequest) -> bool:
     """Whether times are taken: 640x480, and the targets must hold."""
-    return bool(request.config.getoption("benchmark_enable"))
+    return bool(request.config.getoption("benchmark_enable") or request.config.getoption("--gate", default=False))
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -66,3 +83,14 @@ def show(full: bool, capsys: pytest.CaptureFixture[str]) -> Callable[[str], None
                 print(f"\n  {text}", end="", flush=True)
 
     return line
+
+
+@pytest.fixture
+def ratio(full: bool, show: Callable[[str], None]) -> Callable[[str, float], None]:
+    """Shows a ratio, and fails where it is outside its range and was measured in full."""
+
+    def within(name: str, value: float) -> None:
+        show(f"{name}: {value:.3g} ({wanted(name)} wanted)")
+        assert not (full and outside(name, value)), outside(name, value)
+
+    return within

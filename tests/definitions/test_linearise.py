@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import pytest
 import torch
@@ -11,7 +11,7 @@ from plane_world import CAMERA, SLANTED, points, render
 from rendered import Film
 from torch import Tensor
 
-from idrgbdo_torch.definitions import se3
+from idrgbdo_torch.definitions import se3, solver
 from idrgbdo_torch.definitions.linearise import (
     ResidualNoise,
     Target,
@@ -19,9 +19,10 @@ from idrgbdo_torch.definitions.linearise import (
     linearise_pairs,
     residual_noise,
 )
+from idrgbdo_torch.definitions.pairs import AlignedPairs, align_pairs
 from idrgbdo_torch.definitions.photometric import warp
 from idrgbdo_torch.definitions.points import HostPoints, host_points, pick_points, tracking_pyramid
-from idrgbdo_torch.definitions.tracking import AlignedPairs, align_pairs, prior_at
+from idrgbdo_torch.definitions.tracking import STEPS, prior_at
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.frame import prepare
 
@@ -79,6 +80,37 @@ def test_pairs_do_not_know_of_each_other() -> None:
         torch.testing.assert_close(alone.T_target_host[0], together.T_target_host[b], rtol=0, atol=1e-12)
         torch.testing.assert_close(alone.information[0], together.information[b], rtol=1e-9, atol=1e-3)
         assert alone.iterations[0] == together.iterations[b]
+
+
+@pytest.mark.parametrize("gradient_steps", [0, 1])
+def test_all_steps_with_masks_end_where_early_stopping_does(
+    gradient_steps: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a GPU does, which is never asked whether all have settled, is what the CPU does, to the last bit."""
+    world = planes(3, seed=0)
+    weight = torch.ones(world.inverse_depth.shape, requires_grad=gradient_steps > 0)
+    asks = partial(align_pairs, world.host(weight=weight), world.gray, CAMERA, depth=world.depth)
+    early = asks(gradient_steps=gradient_steps)
+    assert int(early.iterations.max()) < sum(STEPS)
+    monkeypatch.setattr(solver, "ASKED", frozenset())
+    masked = asks(gradient_steps=gradient_steps)
+    for name in ("T_target_host", "affine", "information", "rms", "iterations", "ok"):
+        assert torch.equal(getattr(early, name), getattr(masked, name)), name
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_a_gpu_finds_the_same() -> None:
+    world = planes(3, seed=0)
+    host = world.host()
+    there = HostPoints(
+        host.uv.cuda(), host.inverse_depth.cuda(), host.variance.cuda(), tuple(x.cuda() for x in host.patch),
+        tuple(x.cuda() for x in host.gradient),
+    )  # fmt: skip
+    here = align_pairs(host, world.gray, CAMERA, depth=world.depth)
+    aligned = align_pairs(there, world.gray.cuda(), CAMERA, depth=world.depth.cuda())
+    assert aligned.T_target_host.is_cuda
+    torch.testing.assert_close(aligned.T_target_host.cpu(), here.T_target_host, rtol=0, atol=1e-5)
+    torch.testing.assert_close(aligned.information.cpu(), here.information, rtol=1e-5, atol=1.0)
 
 
 def test_padding_is_no_point() -> None:
