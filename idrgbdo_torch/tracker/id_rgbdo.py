@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..config import Config
-from ..frame import Frame, Keyframe, RgbdFrame, check_next, prepare
+from ..frame import Frame, Keyframe, RgbdFrame, check_next
 from ..kernels.se3 import inverse
 from ..measurement import Noise, State, kernel_noise, with_blur
 from ..odometry import Status, TrackResult
@@ -19,6 +19,7 @@ from ..trajectory import Trajectory
 from .alignment import align, displacement
 from .backends import backend_named
 from .history import History
+from .instant import steady, takes_time
 from .keyframe import make_keyframe, wants_keyframe
 from .mapping import NOTHING, Cloud, keyframe_cloud, together
 from .motion import Motion, turn_rate
@@ -67,10 +68,14 @@ class IdRgbdo:
     def track(self, rgbd: RgbdFrame) -> TrackResult:
         """The pose of the next frame (sections 4 and 5). Raises IdRgbdoError for what check_next refuses."""
         check_next(rgbd, self.reference.keyframe.frame.camera if self.reference else None)
-        frame = prepare(rgbd, self.config.tracking.blur)
+        frame = steady(rgbd, self.motion.velocity(), self.config.tracking.blur)
         if self.reference is None:
             return self._start_segment(frame, "too few points with depth and texture to start from")
         tracked, verdict = self._align(frame, self.reference)
+        if takes_time(rgbd.camera) and not verdict.doubt(LIMITS.lost):  # once more, now that the velocity is known
+            velocity = self.motion.velocity_at(tracked.T_frame_kf @ self.reference.T_kf_world, frame.timestamp)
+            frame = steady(rgbd, velocity, self.config.tracking.blur)
+            tracked, verdict = self._align(frame, self.reference)
         if verdict.doubt(LIMITS.weak) and self._late_keyframe(frame, verdict):
             tracked, verdict = self._align(frame, self.reference)
         reference, motion = self.reference, self.motion
@@ -116,9 +121,7 @@ class IdRgbdo:
     def _late_keyframe(self, frame: Frame, verdict: Verdict) -> bool:
         """Make a keyframe of the frame before, which shares most with this one, if that explains this one better."""
         last, turn = self.motion.frame, self.motion.turn
-        if last is None or last.timestamp == self.history.keyframe_times[-1]:
-            return False
-        if (keyframe := self._keyframe(last)) is None:
+        if last is None or last.timestamp == self.history.keyframe_times[-1] or not (keyframe := self._keyframe(last)):
             return False
         prior = motion_information(self.config, KEYFRAME_GAP)
         index = self._select(keyframe, np.eye(4), self.config.selection.points, prior, self.noise)
@@ -132,10 +135,8 @@ class IdRgbdo:
 
     def _choose(self, reference: Reference, pair: Pair, T_frame_kf: Array, prior: Array) -> None:
         """The points to track: chosen anew when the view has moved by the margin that kept them inside the image."""
-        if not self.config.selection.per_frame:
-            return
         margin = view_margin(self.config.selection.margin, reference.keyframe.frame.camera)
-        if displacement(pair, reference.T_chosen, T_frame_kf) < margin:
+        if not self.config.selection.per_frame or displacement(pair, reference.T_chosen, T_frame_kf) < margin:
             return
         reference.T_chosen = T_frame_kf
         reference.index = self._select(reference.keyframe, T_frame_kf, self.config.selection.points, prior, pair.noise)
@@ -193,8 +194,7 @@ class IdRgbdo:
         self.motion.lose()
         self.history.segment = 0 if first else self.history.new_segment()
         self._adopt(keyframe)
-        self.motion.time = frame.timestamp
-        self.lost_in_a_row = 0
+        self.motion.time, self.lost_in_a_row = frame.timestamp, 0
         reason = "" if first else "a new segment starts here, at the last known pose"
         return replace(self._held(frame, Status.OK if first else Status.LOST, reason), keyframe=True)
 

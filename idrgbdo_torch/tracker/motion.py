@@ -45,6 +45,15 @@ class Motion:
         ratio = min(dt / self.dt, LONGEST) if self.dt > 0.0 else 0.0
         return predict(self.T_cam_world, self.T_previous, ratio)
 
+    def velocity(self) -> Array:
+        """(6,) [v, w] of a left increment of T_cam_world, m/s and rad/s, between the last two poses; 0 if unknown."""
+        return twist_between(self.T_cam_world, self.T_previous, self.dt)
+
+    def velocity_at(self, T_cam_world: Array, timestamp: float) -> Array:
+        """(6,) the same at the next pose: the mean since the last one, and what that changed half as much again."""
+        now, before = twist_between(T_cam_world, self.T_cam_world, self.gap(timestamp)), self.velocity()
+        return now + 0.5 * (now - before) if before.any() else now
+
     def move(self, T_cam_world: Array, frame: Frame, dt: float) -> None:
         """To a frame's measured pose; dt 0 where the step from the one before is no velocity."""
         self.T_previous, self.T_cam_world, self.dt = self.T_cam_world, T_cam_world, dt
@@ -68,6 +77,11 @@ def predict(T_a: Array, T_b: Array, ratio: float) -> Array:
     """Constant velocity: the motion from T_b to T_a (cam_world poses), times ratio, once more from T_a."""
     T: Array = retract(ratio * log_se3(T_a @ inverse(T_b)), T_a)
     return T
+
+
+def twist_between(T_new: Array, T_old: Array, dt: float) -> Array:
+    """(6,) [v, w] m/s and rad/s between two cam_world poses dt seconds apart; 0 where dt is."""
+    return np.zeros(6) if dt == 0.0 else np.asarray(log_se3(T_new @ inverse(T_old)) / dt)
 
 
 def turn_rate(T_new: Array, T_old: Array, dt: float) -> Array:
