@@ -183,7 +183,7 @@ def draw(errors: Errors, methods: Sequence[str]) -> Figure:
     """One plot a fault: RPE against size."""
     metric = next(iter(METRICS))
     figure = new_figure(5, 2, 3.4, 3.0)
-    for axes, (name, fault) in zip(figure.axes, FAULTS.items(), strict=True):
+    for axes, (name, fault) in zip(figure.axes, FAULTS.items(), strict=False):
         for method in methods:
             ours = method.startswith("ours")
             base = method.removesuffix(NAMED)

@@ -1,4 +1,4 @@
-"""A real camera's faults in the rendered world: each does as its name says, and a camera.toml that names it mends it."""
+"""The faults of a real camera in rendered films: each is as its name says, and a camera.toml that has it mends it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,15 @@ from idrgbdo_torch.synthetic.faults import jump_gain
 from idrgbdo_torch.synthetic.render import Depth
 
 CLEAN = SynthConfig(
-    frames=2, width=160, height=120, fx=131.25, fy=131.25, cx=79.5, cy=59.5, sensor=SensorConfig.ideal()
+    kind="structure_texture",
+    frames=2,
+    width=160,
+    height=120,
+    fx=131.25,
+    fy=131.25,
+    cx=79.5,
+    cy=59.5,
+    sensor=SensorConfig.ideal(),
 )
 
 
