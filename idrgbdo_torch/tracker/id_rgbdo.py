@@ -103,12 +103,12 @@ class IdRgbdo:
     def _steadied(self, rgbd: RgbdFrame, tracked: Tracked, reference: Reference) -> tuple[Frame, Tracked, Verdict]:
         """A frame once more, now that its velocity is known; with the second one, the first keyframe too."""
         velocity = self.motion.velocity_at(tracked.T_frame_kf @ reference.T_kf_world, rgbd.timestamp)
-        still = lambda rgbd: steady(rgbd, velocity, self.config.tracking.blur)
-        if len(self.history.times) == 1 and self.first and self._keyframe(first := still(self.first)):
+        still = [steady(image, velocity, self.config.tracking.blur) for image in (self.first, rgbd) if image]
+        if len(self.history.times) == 1 and self.first and self._keyframe(still[0]):
             self.reset(torch.from_numpy(inverse(self.motion.T_cam_world)))
-            self._start_segment(first, "")
-        frame, self.first = still(rgbd), None
-        return frame, *self._align(frame, self.reference or reference)
+            self._start_segment(still[0], "")
+        self.first = None
+        return still[-1], *self._align(still[-1], self.reference or reference)
 
     def _align(self, frame: Frame, reference: Reference) -> tuple[Tracked, Verdict]:
         """A frame against the newest keyframe, from where it is expected."""
