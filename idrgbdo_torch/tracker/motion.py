@@ -14,6 +14,7 @@ from ..measurement import RATE
 
 Array = NDArray[np.float64]
 
+GOES_ON = 0.35  # of a change of velocity in the half step to come; half would be exact, were poses without noise
 LONGEST = 3.0  # times the last gap that a velocity is followed
 
 
@@ -50,9 +51,9 @@ class Motion:
         return twist_between(self.T_cam_world, self.T_previous, self.dt)
 
     def velocity_at(self, T_cam_world: Array, timestamp: float) -> Array:
-        """(6,) the same at the next pose: the mean since the last one, and what that changed half as much again."""
+        """(6,) the same at the next pose: the mean since the last one, and a part of what that changed once more."""
         now, before = twist_between(T_cam_world, self.T_cam_world, self.gap(timestamp)), self.velocity()
-        return now + 0.5 * (now - before) if before.any() else now
+        return now + GOES_ON * (now - before) if before.any() else now
 
     def move(self, T_cam_world: Array, frame: Frame, dt: float) -> None:
         """To a frame's measured pose; dt 0 where the step from the one before is no velocity."""
