@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from ..experiments.rendering import RenderTask
     from ..experiments.task import Clip
 
-Name = Literal["fig1", "fig3", "fig4", "fig5", "fig6", "fig7", "fig8", "table1", "ablation", "coverage", "faults", "all"]
+Name = Literal[
+    "fig1", "fig3", "fig4", "fig5", "fig6", "fig7", "fig8", "table1", "ablation", "coverage", "faults", "all"
+]
 
 
 @dataclass(frozen=True)
