@@ -24,7 +24,7 @@ from ..config import Config, KeyframeConfig, NoiseConfig, SelectionConfig, Track
 from ..definitions.camera import Pinhole
 from ..definitions.marginalization import LinearPrior
 from ..errors import IdRgbdoError
-from ..frame import Frame, Keyframe
+from ..frame import Frame, Keyframe, RgbdFrame
 from ..measurement import Noise, Points, WindowPoints, WindowSystem
 from ..odometry import ConstantVelocity, Odometry, Record, Status, TrackResult
 from ..text import configfile
@@ -44,14 +44,14 @@ from .source import Source, difference
 from .tree import Codec
 
 NAME = "checkpoint.bin"
-MAGIC = b"idrgbdo checkpoint 2\n"  # the number is the format's
+MAGIC = b"idrgbdo checkpoint 3\n"  # the number is the format's
 SHARE = 30.0  # times what writing one takes, between two
 LEAST_S = 1.0  # between two
 DIGEST_BYTES = 32
 COUNT_BYTES = 8  # of the length of the text
 TYPES = (  # what a state may be made of; a new type in the tracker's state has to be named here
     Config, NoiseConfig, SelectionConfig, TrackingConfig, KeyframeConfig, WindowConfig,
-    Pinhole, LinearPrior, Frame, Keyframe, Noise, Points, WindowPoints,
+    Pinhole, LinearPrior, RgbdFrame, Frame, Keyframe, Noise, Points, WindowPoints,
     WindowSystem, Features, Place, Places, Departure, Motion, Reference, History, Members,
     Status, TrackResult, Record, ConstantVelocity, IdRgbdo, Cloud, Tracked, Window,
 )  # fmt: skip

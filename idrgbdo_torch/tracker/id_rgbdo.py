@@ -72,7 +72,7 @@ class IdRgbdo:
         check_next(rgbd, self.reference.keyframe.frame.camera if self.reference else None)
         frame = steady(rgbd, self.motion.velocity(), self.config.tracking.blur)
         if self.reference is None:
-            self.first = rgbd
+            self.first = rgbd if takes_time(rgbd.camera) else None
             return self._start_segment(frame, "too few points with depth and texture to start from")
         tracked, verdict = self._align(frame, self.reference)
         if takes_time(rgbd.camera) and not verdict.doubt(LIMITS.lost):

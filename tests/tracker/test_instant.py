@@ -10,6 +10,8 @@ import torch
 
 from idrgbdo_torch.frame import RgbdFrame, prepare
 from idrgbdo_torch.kernels.se3 import inverse, log_se3
+from idrgbdo_torch.runs.checkpoint import CONSTANTS, TYPES
+from idrgbdo_torch.runs.tree import Codec
 from idrgbdo_torch.synthetic import FaultConfig, RenderedSequence, SensorConfig, SynthConfig
 from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 from idrgbdo_torch.tracker.instant import at_one_instant, steady, takes_time
@@ -115,3 +117,15 @@ def test_a_camera_file_that_names_it_brings_the_pose_back(clean: RenderedSequenc
         return float(np.mean([np.linalg.norm(step[:3, 3]) for step in steps]))
 
     assert error(True) < 0.6 * error(False)
+
+
+def test_a_run_can_be_kept_while_the_first_frame_waits_for_its_velocity(clean: RenderedSequence) -> None:
+    frames = tuple(film(clean, READOUT).read(index) for index in range(3))
+    odometry = IdRgbdo(compile_ahead=False)
+    odometry.track(frames[0])
+    codec = Codec(TYPES, CONSTANTS)
+    text, numbers = codec.write(odometry)
+    kept = codec.read(text, memoryview(b"".join(bytes(part) for part in numbers)))
+    for frame in frames[1:]:
+        assert torch.equal(kept.track(frame).T_world_cam, odometry.track(frame).T_world_cam)
+    assert kept.first is None and len(kept.trajectory().timestamps) == 3
