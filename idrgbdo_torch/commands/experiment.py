@@ -18,9 +18,12 @@ from .tasks_bar import tasks_bar
 
 if TYPE_CHECKING:
     from ..experiments.lab import Lab, Report
+    from ..experiments.rendering import RenderTask
     from ..experiments.task import Clip
 
-Name = Literal["fig1", "fig3", "fig4", "fig5", "fig6", "fig7", "fig8", "table1", "ablation", "coverage", "all"]
+Name = Literal[
+    "fig1", "fig3", "fig4", "fig5", "fig6", "fig7", "fig8", "table1", "ablation", "coverage", "faults", "all"
+]
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,8 @@ def experiment(command: ExperimentCommand) -> int:
     from ..experiments import NAMES, run_experiment
     from ..experiments.lab import write_index, write_report
 
-    names = NAMES if command.name == "all" else (command.name,)
+    everything = NAMES if command.rendered else tuple(name for name in NAMES if name != "faults")  # which are rendered
+    names = everything if command.name == "all" else (command.name,)
     lab = _lab(command, all(name in ("fig7", "fig8") for name in names))
     lab.out.mkdir(parents=True, exist_ok=True)
     for name in names:
@@ -71,15 +75,15 @@ def _lab(command: ExperimentCommand, only_cost: bool) -> Lab:
         raise IdRgbdoError("tum: is for table1, without --data and --rendered; leave out either")
     workers, data = Workers(command.jobs or cores(), command.cluster), command.data or command.tum
     clips: tuple[Clip, ...] = ()
+    films: tuple[RenderTask, ...] = ()
     if only_cost:
         pass  # these render what they time
     elif command.rendered and data is None:
         frames = command.frames or (setup.QUICK_FRAMES if command.quick else setup.FRAMES)
         cache = command.cache or setup.default_cache()
+        films = setup.planned_films(command.sequences, frames, command.quick, cache, command.trajectories)
         with tasks_bar("rendering") as on_progress:
-            clips = setup.rendered_clips(
-                command.sequences, frames, command.quick, cache, command.trajectories, workers, on_progress
-            )
+            clips = setup.clips_of(films, workers, on_progress)
     elif data is not None and not command.rendered:
         most = command.frames or (setup.QUICK_FRAMES if command.quick else None)
         clips = setup.recorded_clips(data, command.sequences, most)
@@ -90,6 +94,7 @@ def _lab(command: ExperimentCommand, only_cost: bool) -> Lab:
         clips,
         command.out,
         workers,
+        films=films,
         rendered=command.rendered,
         quick=command.quick,
         seeds=command.seeds or (setup.QUICK_SEEDS if command.quick else setup.SEEDS),

@@ -44,6 +44,7 @@ class FrameBuilder:
         self.camera: Pinhole = calibration.pinhole(color.shape[1], color.shape[0])
         self._floats = floats
         self.depth_scale, self._unknown = depth_scale, unknown
+        self._growth = np.float32(calibration.depth_growth)
         self._undistortion = Undistortion(calibration, self.camera) if any(calibration.distortion) else None
         self._registration = Registration(calibration, self.camera) if calibration.depth.fx is not None else None
 
@@ -67,6 +68,8 @@ class FrameBuilder:
         depth_m = metres(depth, self.depth_scale)
         if self._unknown is not None:
             depth_m[depth == self._unknown] = 0
+        if self._growth:
+            depth_m *= 1 + self._growth * depth_m
         if self._registration is not None:
             depth_m = self._registration.depth(depth_m)
         if self._undistortion is not None:

@@ -35,6 +35,9 @@ Pixel = Annotated[float, Bounds(-1e6, 1e6)]
 Coefficient = Annotated[float, Bounds(-1e6, 1e6)]  # of a lens
 Scale = Annotated[float, Bounds(1e-3, 1e9)]  # depth values per metre
 Rate = Annotated[float, Bounds(1e-4, 1e5)]  # Hz
+Growth = Annotated[float, Bounds(-0.1, 0.1)]  # 1/m
+Readout = Annotated[float, Bounds(0, 200)]  # ms
+Delay = Annotated[float, Bounds(-200, 200)]  # ms
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,9 @@ class Calibration:
     width: Count | None = None  # px; checked against the images where given
     height: Count | None = None
     depth_scale: Scale | None = None
+    depth_growth: Growth = 0.0  # 1/m, of the sensor's scale with distance: true = measured * (1 + growth * measured)
+    readout_ms: Readout = 0.0  # of a rolling shutter, from the first to the last row of a colour image
+    depth_delay_ms: Delay = 0.0  # by which the depth image is taken later than the colour image of the same time
     fps: Rate | None = None  # frames per second, where nothing else tells the times
     depth: DepthCamera = DepthCamera()
     origin: str = field(default="", compare=False)  # where it was found, for people
@@ -95,7 +101,16 @@ class Calibration:
                 f"{who}: expected focal lengths of images of {width}x{height}, got fx={self.fx:g}, fy={self.fy:g}, by "
                 "which the camera sees all around; give them in pixels"
             )
-        return Pinhole(width=width, height=height, fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy)
+        return Pinhole(
+            width=width,
+            height=height,
+            fx=self.fx,
+            fy=self.fy,
+            cx=self.cx,
+            cy=self.cy,
+            readout_ms=self.readout_ms,
+            depth_delay_ms=self.depth_delay_ms,
+        )
 
     def likely_size(self) -> tuple[int, int] | None:
         """(width, height) in whose middle the principal point would be, among the usual ones; None for none of them."""

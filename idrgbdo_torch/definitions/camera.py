@@ -18,7 +18,7 @@ MIN_DEPTH = 1e-3  # m; nearer, or behind, is not in front of the camera
 class Pinhole:
     """Undistorted pinhole camera that knows its image size.
 
-    Pixel (0, 0) is the centre of the top-left pixel, u to the right, v down; all values in pixels.
+    Pixel (0, 0) is the centre of the top-left pixel, u to the right, v down; all values in pixels but the two times.
     """
 
     width: int
@@ -27,6 +27,8 @@ class Pinhole:
     fy: float
     cx: float
     cy: float
+    readout_ms: float = 0.0  # of a rolling shutter, first to last row of the colour image; a frame's time is its middle
+    depth_delay_ms: float = 0.0  # by which the depth image is taken later than the colour image
 
     def __post_init__(self) -> None:
         """Raises IdRgbdoError for what is no camera; whole numbers become the floats that everything else takes."""
@@ -58,6 +60,8 @@ class Pinhole:
             fy=self.fy * s,
             cx=(self.cx + 0.5) * s - 0.5,
             cy=(self.cy + 0.5) * s - 0.5,
+            readout_ms=self.readout_ms,
+            depth_delay_ms=self.depth_delay_ms,
         )
 
     def matrix(self) -> Tensor:

@@ -25,6 +25,8 @@ from .task import Clip, Measured, Task, content_digest, measure, measured
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from .rendering import RenderTask
+
 RESULTS = "results.jsonl"
 Cell = str | int | float | None
 
@@ -59,6 +61,7 @@ class Lab:
     clips: tuple[Clip, ...]
     out: Path
     workers: Workers
+    films: tuple[RenderTask, ...] = ()  # how the clips were rendered, one each; none for recordings
     rendered: bool = True
     quick: bool = False
     seeds: int = 10

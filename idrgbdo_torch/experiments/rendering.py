@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import IdRgbdoError
-from ..synthetic import SynthConfig
+from ..synthetic import FaultConfig, SynthConfig
 from ..synthetic.sequence import RenderedSequence, write_tum
 from .relatives import RELATIVES, Relative, recorded_for, write_builtin_path
 from .sweep import Progress, Result, Workers, run_tasks
@@ -96,6 +96,14 @@ def plan_rendering(
     return tasks
 
 
+def with_faults(film: RenderTask, faults: FaultConfig) -> RenderTask:
+    """The same film by a camera with faults, beside it."""
+    config = replace(film.config, faults=faults)
+    return replace(
+        film, config=config, folder=film.folder.parent / f"{film.relative.name}_{_digest(film.relative, config)}"
+    )
+
+
 def render(task: RenderTask) -> Result:
     """Render into the task's folder, which is complete or not there."""
     if is_rendered(task):
@@ -131,7 +139,7 @@ def render_missing(
         if "error" in result:
             errors.append(f"{name}: {result['error']}")
 
-    missing = {task.relative.name: task for task in tasks if not is_rendered(task)}
+    missing = {task.folder.name: task for task in tasks if not is_rendered(task)}
     run_tasks(render, missing, workers, on_result, on_progress)
     if errors:
         raise IdRgbdoError(f"rendering failed for {'; '.join(errors)}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ..config import Config, settings_file
@@ -11,7 +11,7 @@ from ..errors import IdRgbdoError
 from ..text import configfile
 from .lab import find_clips, short_name
 from .relatives import RELATIVES
-from .rendering import plan_rendering, render_missing
+from .rendering import RenderTask, plan_rendering, render_missing
 from .sweep import Progress, Workers
 from .task import Clip
 
@@ -40,13 +40,26 @@ def rendered_clips(
     shrink: int = 1,
 ) -> tuple[Clip, ...]:
     """The rendered set, or the named ones of it (commas between); what is not in the cache is rendered now."""
+    return clips_of(planned_films(names, frames, quick, cache, trajectories, shrink), workers, on_progress)
+
+
+def planned_films(
+    names: str, frames: int, quick: bool, cache: Path, trajectories: Path | None, shrink: int = 1
+) -> tuple[RenderTask, ...]:
+    """What to render for the rendered set, or for the named ones of it (commas between)."""
     wanted = [name.strip() for name in names.split(",") if name.strip()] or list(QUICK_NAMES if quick else TABLE_ORDER)
     for name in wanted:
         if name not in TABLE_ORDER:
             raise IdRgbdoError(f"sequences: no rendered sequence '{name}'; expected some of {', '.join(TABLE_ORDER)}")
-    tasks = plan_rendering(wanted, frames, cache, trajectories, shrink)
-    render_missing(tasks, workers, on_progress)
-    return find_clips([task.folder for task in tasks], None)
+    return tuple(plan_rendering(wanted, frames, cache, trajectories, shrink))
+
+
+def clips_of(
+    films: Sequence[RenderTask], workers: Workers, on_progress: Callable[[Progress], None]
+) -> tuple[Clip, ...]:
+    """The rendered films; what is not in the cache is rendered now."""
+    render_missing(films, workers, on_progress)
+    return find_clips([film.folder for film in films], None)
 
 
 def recorded_clips(folder: Path, names: str, frames: int | None) -> tuple[Clip, ...]:

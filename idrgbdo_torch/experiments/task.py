@@ -158,7 +158,7 @@ def prior_entropy_bits(config: Config, rate: float = 30.0) -> float:
 def content_digest(folder: Path) -> str:
     """What tells a recording from another of the same name: its lists, its reference, and its first and last images."""
     digest = hashlib.sha256()
-    for name in ("rgb.txt", "depth.txt", "groundtruth.txt", "calibration.txt"):
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt", "calibration.txt", "camera.toml"):
         path = folder / name
         digest.update(path.read_bytes() if path.exists() else b"none")
     for kind in ("rgb", "depth"):

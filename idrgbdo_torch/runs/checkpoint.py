@@ -28,7 +28,7 @@ from ..definitions.growing import Column
 from ..definitions.marginalization import LinearPrior
 from ..definitions.records import Records
 from ..errors import IdRgbdoError
-from ..frame import Frame, Keyframe
+from ..frame import Frame, Keyframe, RgbdFrame
 from ..measurement import Noise, Points, WindowPoints, WindowSystem
 from ..odometry import ConstantVelocity, Odometry, Record, Status, TrackResult
 from ..text import configfile
@@ -56,7 +56,7 @@ DIGEST_BYTES = 32
 COUNT_BYTES = 8  # of the length of the text
 TYPES = (  # what a state may be made of; a new type in the tracker's state has to be named here
     Config, NoiseConfig, SelectionConfig, TrackingConfig, KeyframeConfig, WindowConfig,
-    Pinhole, LinearPrior, Frame, Keyframe, Noise, Points, WindowPoints,
+    Pinhole, LinearPrior, RgbdFrame, Frame, Keyframe, Noise, Points, WindowPoints,
     WindowSystem, Features, Place, Places, Departure, Motion, Reference, History, Members,
     Status, TrackResult, Record, Records, Column, Departures, ConstantVelocity, IdRgbdo, Cloud, Kept, Tracked, Window,
 )  # fmt: skip

@@ -4,12 +4,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from .config import KINDS, Kind, SensorConfig, SynthConfig
+from .config import KINDS, FaultConfig, Kind, SensorConfig, SynthConfig
 
 if TYPE_CHECKING:
     from .sequence import RenderedSequence, Shot, synth, write_tum
 
-__all__ = ["KINDS", "Kind", "RenderedSequence", "SensorConfig", "Shot", "SynthConfig", "synth", "write_tum"]
+__all__ = [
+    "KINDS",
+    "FaultConfig",
+    "Kind",
+    "RenderedSequence",
+    "SensorConfig",
+    "Shot",
+    "SynthConfig",
+    "synth",
+    "write_tum",
+]
 
 
 def __getattr__(name: str) -> Any:

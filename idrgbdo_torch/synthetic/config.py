@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 from ..errors import IdRgbdoError
+from ..text import configfile
+from ..text.configfile import Fraction, NonNegative
 
 Kind = Literal["desk", "structure_texture", "structure_notexture", "nostructure_texture", "poor"]
 KINDS: tuple[Kind, ...] = ("desk", "structure_texture", "structure_notexture", "nostructure_texture", "poor")
@@ -47,6 +49,23 @@ class SensorConfig:
 
 
 @dataclass(frozen=True)
+class FaultConfig:
+    """What real cameras do and files about them leave out; without any of it by default, each by its size."""
+
+    readout_ms: NonNegative = 0.0  # rolling shutter: from the first to the last row of a colour image
+    depth_delay_ms: float = 0.0  # by which the depth image is taken later than the colour image
+    focal: float = 0.0  # relative error of the focal length in the calibration
+    center_px: float = 0.0  # error of the principal point there, to the lower right
+    depth_scale: float = 0.0  # relative error of all depths
+    depth_growth: float = 0.0  # 1/m: true depth = measured * (1 + growth * measured)
+    misregistration_px: int = 0  # px by which the depth image lies too far right
+    exposure_jump: Fraction = 0.0  # relative changes of gain from one frame to the next, every 0.5 s
+    stereo: NonNegative = 0.0  # depth of a stereo sensor with holes and speckle; 1: like a RealSense D435's
+    tof: NonNegative = 0.0  # depth of a time-of-flight sensor; 1: like a LiDAR's or an Azure Kinect's
+    named: bool = False  # the camera file tells what a user can know: all but the exposure and the kind of sensor
+
+
+@dataclass(frozen=True)
 class SynthConfig:
     """A rendered sequence: the scene, the path through it, the camera and its sensor."""
 
@@ -65,6 +84,7 @@ class SynthConfig:
     samples: int = 4  # images averaged per frame, for anti-aliasing and motion blur; more are taken in fast motion
     threads: int = 1  # of the ray caster
     sensor: SensorConfig = field(default_factory=SensorConfig)
+    faults: FaultConfig = field(default_factory=FaultConfig)
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -73,3 +93,6 @@ class SynthConfig:
             value = getattr(self, name)
             if not value > 0:
                 raise IdRgbdoError(f"{name}: expected a positive number, got {value}; give a larger one")
+        configfile.check(self.faults)
+        if self.faults.stereo and self.faults.tof:
+            raise IdRgbdoError("faults: expected a stereo or a time-of-flight sensor, got both; set one of them to 0")

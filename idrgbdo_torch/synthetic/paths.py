@@ -24,12 +24,13 @@ class CameraPath:
     positions: Array  # (M, 3) m
     quaternions: Array  # (M, 4) x y z w, neighbours on the same hemisphere
 
-    def pose(self, t: float) -> Array:
-        """(4, 4) T_world_cam at time t, held at both ends."""
-        T = np.eye(4)
-        q = np.array([np.interp(t, self.times, c) for c in self.quaternions.T])
-        T[:3, :3] = rotation_matrix(q / np.linalg.norm(q))
-        T[:3, 3] = [np.interp(t, self.times, c) for c in self.positions.T]
+    def pose(self, t: float | Array) -> Array:
+        """(..., 4, 4) T_world_cam at the times t (...), held at both ends."""
+        q, p = (np.stack([np.interp(t, self.times, c) for c in x.T], -1) for x in (self.quaternions, self.positions))
+        T = np.zeros((*p.shape[:-1], 4, 4))
+        T[..., :3, :3] = rotation_matrix(q / np.linalg.norm(q, axis=-1, keepdims=True))
+        T[..., :3, 3] = p
+        T[..., 3, 3] = 1.0
         return T
 
 

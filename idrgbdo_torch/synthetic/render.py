@@ -14,6 +14,8 @@ from .config import SynthConfig
 from .surfaces import Array
 from .world import FULL, LEVELS, Floats, World
 
+Pose = Callable[[float | Array], Array]  # (..., 4, 4) at times (...)
+
 
 @dataclass(frozen=True)
 class Depth:
@@ -31,16 +33,18 @@ class Renderer:
     config: SynthConfig
 
     def rays(self, T_scene_cam: Array, du: float = 0.0, dv: float = 0.0) -> Floats:
-        """(H, W, 6) origins and directions of unit depth through the pixels' centres moved by (du, dv) px."""
+        """(H, W, 6) origins and directions of unit depth through the pixels' centres moved by (du, dv) px.
+
+        T_scene_cam: (4, 4), or (H, 4, 4) where every row sees from a place of its own.
+        """
         c = self.config
-        R = T_scene_cam[:3, :3]
+        R = T_scene_cam[..., :3, :3]
         x, y = (np.arange(c.width) + du - c.cx) / c.fx, (np.arange(c.height) + dv - c.cy) / c.fy
         rays = np.empty((c.height, c.width, 6), np.float32)
-        rays[..., :3] = T_scene_cam[:3, 3]
+        rays[..., :3] = T_scene_cam[..., None, :3, 3]
         for k in range(3):
-            rays[..., 3 + k] = (R[k, 0] * x + R[k, 2])[None].astype(np.float32) + (R[k, 1] * y)[:, None].astype(
-                np.float32
-            )
+            across = R[..., k, 0, None] * x + R[..., k, 2, None]  # (W,), or (H, W)
+            rays[..., 3 + k] = across.astype(np.float32) + (R[..., k, 1] * y)[:, None].astype(np.float32)
         return rays
 
     def depth(self, T_scene_cam: Array) -> Depth:
@@ -53,15 +57,19 @@ class Renderer:
         cosine = np.abs(np.einsum("hwk,hwk->hw", normal, directions)) / np.linalg.norm(directions, axis=-1)
         return Depth(depth=np.where(hit, t, 0).astype(np.float32), cosine=np.where(hit, cosine, 0).astype(np.float32))
 
-    def radiance(self, pose: Callable[[float], Array], t: float, exposure_s: float) -> Floats:
-        """(H, W, 3) mean linear radiance over the pixels and over the exposure centred at t; pose(t) is T_scene_cam."""
+    def radiance(self, pose: Pose, t: float, exposure_s: float, readout_s: float = 0.0) -> Floats:
+        """(H, W, 3) mean linear radiance over the pixels and over the exposure centred at t; pose(t) is T_scene_cam.
+
+        readout_s: from the exposure of the first row to that of the last; t is the middle row's.
+        """
         c = self.config
+        rows_s = readout_s * ((np.arange(c.height) + 0.5) / c.height - 0.5)
         swept = _image_speed(pose(t - exposure_s / 2), pose(t + exposure_s / 2), c.fx) if exposure_s > 0 else 0.0
         samples = int(np.clip(np.ceil(swept / 1.5), c.samples, 3 * c.samples))
         total = np.zeros((c.height, c.width, 3), np.float32)
         w = self.world
         for k, (du, dv) in enumerate(sub_pixels(samples)):
-            T = pose(t + exposure_s * ((k + 0.5) / samples - 0.5))
+            T = pose(t + exposure_s * ((k + 0.5) / samples - 0.5) + (rows_s if readout_s else 0.0))
             rays = self.rays(T, du, dv)
             depth, ids, bary = self._cast(rays)
             blur = np.float32(1.0 / (c.fx * np.sqrt(min(samples, 4))))

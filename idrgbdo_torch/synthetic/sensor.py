@@ -46,7 +46,7 @@ def measure(seen: Depth, config: SensorConfig, rng: Rng) -> npt.NDArray[np.uint1
     depth, valid = _holes(seen, config, rng) if config.depth_holes else (seen.depth, seen.depth > 0)
     disparity = config.focal_baseline / np.where(depth > 0, depth, 1.0)
     if config.depth_noise:
-        disparity = disparity + config.sigma_disparity * _smooth_noise(depth.shape, 1.2, rng)
+        disparity = disparity + config.sigma_disparity * smooth_noise(depth.shape, 1.2, rng)
     if config.depth_quantisation:
         disparity = np.round(disparity / config.disparity_step) * config.disparity_step
     if config.depth_noise or config.depth_quantisation:
@@ -64,20 +64,25 @@ def _holes(seen: Depth, config: SensorConfig, rng: Rng) -> tuple[Floats, npt.NDA
     behind a near object's left border lies in shadow. The matcher's window smears and drops the depth at jumps.
     """
     h, w = seen.depth.shape
-    wobble = [_smooth_noise((h, w), 1.0, rng) for _ in range(2)]
+    wobble = [smooth_noise((h, w), 1.0, rng) for _ in range(2)]
     x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
     where = (x + wobble[0], y + 0.7 * wobble[1])
     depth = cv2.remap(seen.depth, *where, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
     jump = np.abs(depth - cv2.blur(depth, (3, 3))) > JUMP * depth  # a tilted plane has steps too, but no such bend
     dropped = jump & (rng.random((h, w), dtype=np.float32) < 0.7)
-    at_projector = x - config.focal_baseline / np.maximum(seen.depth, 0.1)
-    nearest = np.minimum.accumulate(at_projector[:, ::-1], axis=1)[:, ::-1]
-    shadow = at_projector > nearest + SHADOW_PX
+    shadow = projector_shadow(seen.depth, config.focal_baseline)
     grazing = seen.cosine < GRAZING * (1 + 0.3 * wobble[0])
     return depth, (depth > 0) & ~dropped & ~shadow & ~grazing
 
 
-def _smooth_noise(shape: tuple[int, ...], sigma: float, rng: Rng) -> Floats:
+def projector_shadow(depth: Floats, focal_baseline: float) -> npt.NDArray[np.bool_]:
+    """(H, W) what the projector, or a second camera, to the right of the camera does not see of depth (H, W) m."""
+    at_projector = np.arange(depth.shape[1], dtype=np.float32) - focal_baseline / np.maximum(depth, 0.1)
+    nearest = np.minimum.accumulate(at_projector[:, ::-1], axis=1)[:, ::-1]
+    return np.asarray(at_projector > nearest + SHADOW_PX)
+
+
+def smooth_noise(shape: tuple[int, ...], sigma: float, rng: Rng) -> Floats:
     """Noise of deviation 1 that is correlated over sigma pixels (a Gaussian filter's output, renormalised)."""
     white = rng.standard_normal(shape, dtype=np.float32)
     return np.asarray(cv2.GaussianBlur(white, (0, 0), sigma) * np.float32(2 * np.sqrt(np.pi) * sigma), np.float32)

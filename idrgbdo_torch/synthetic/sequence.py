@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from ..errors import IdRgbdoError
 from .config import SynthConfig
+from .faults import camera_file, jump_gain, spoilt_depth, stated_intrinsics, understood_depth
 from .paths import Array, CameraPath, handheld_path, quaternion, recorded_path
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from .render import Renderer
 
 Progress = Callable[[int, int], None]  # frames done, frames in all
-DEPTH_SCALE = 5000.0  # per metre, of TUM's files
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class RenderedSequence:
 
         shot = self.shot(index)
         gray = cv2.cvtColor(shot.color.astype(np.float32), cv2.COLOR_RGB2GRAY)  # ITU-R BT.601
-        depth = shot.depth.astype(np.float32) / np.float32(DEPTH_SCALE)
+        depth = understood_depth(shot.depth, self.config.faults)
         return RgbdFrame(
             timestamp=self.timestamps[index],
             gray=torch.from_numpy(gray),
@@ -79,10 +79,15 @@ class RenderedSequence:
 
     @cached_property
     def camera(self) -> Pinhole:
+        """As the calibration has it."""
         from ..definitions.camera import Pinhole
 
         c = self.config
-        return Pinhole(width=c.width, height=c.height, fx=c.fx, fy=c.fy, cx=c.cx, cy=c.cy)
+        fx, fy, cx, cy = stated_intrinsics(c)
+        readout, delay = (c.faults.readout_ms, c.faults.depth_delay_ms) if c.faults.named else (0.0, 0.0)
+        return Pinhole(
+            width=c.width, height=c.height, fx=fx, fy=fy, cx=cx, cy=cy, readout_ms=readout, depth_delay_ms=delay
+        )
 
     @cached_property
     def path(self) -> CameraPath:
@@ -140,28 +145,33 @@ class RenderedSequence:
         means = [self.renderer.radiance(self._pose, self.timestamps[i], 0.0).mean() for i in picks]
         return 0.22 / max(float(np.mean(means)), 1e-6)
 
-    def _pose(self, t: float) -> Array:
+    def _pose(self, t: float | Array) -> Array:
         return np.asarray(self.T_scene_world @ self.path.pose(t))
 
     def shot(self, index: int) -> Shot:
         """Frame `index` as uint8 colour and uint16 depth."""
-        from .sensor import develop, exposure_gain, measure
+        from .depth_sensors import measured_depth
+        from .sensor import develop, exposure_gain
 
         if not 0 <= index < len(self):
             raise IndexError(f"frame {index} of {len(self)}")
-        c, s = self.config, self.config.sensor
+        c, s, f = self.config, self.config.sensor, self.config.faults
         t = self.timestamps[index]
-        radiance = self.renderer.radiance(self._pose, t, s.exposure_s if s.motion_blur else 0.0)
-        gain = self.exposure * exposure_gain(t - self.timestamps[0], s, c.seed)
+        radiance = self.renderer.radiance(self._pose, t, s.exposure_s if s.motion_blur else 0.0, f.readout_ms / 1e3)
+        since = t - self.timestamps[0]
+        gain = self.exposure * exposure_gain(since, s, c.seed) * jump_gain(since, f.exposure_jump, c.seed)
+        seen = self.renderer.depth(self._pose(t + f.depth_delay_ms / 1e3))
         light, range_noise = (np.random.default_rng([c.seed, index, stream]) for stream in (2, 3))
         return Shot(
             color=develop(radiance, gain, s, light),
-            depth=measure(self.renderer.depth(self._pose(t)), s, range_noise),
+            depth=spoilt_depth(measured_depth(seen, s, f, range_noise), f),
         )
 
 
 def write_tum(sequence: RenderedSequence, folder: Path, progress: Progress | None = None) -> None:
-    """Write rgb/, depth/, rgb.txt, depth.txt, associations.txt, groundtruth.txt and calibration.txt.
+    """Write rgb/, depth/, rgb.txt, depth.txt, associations.txt, groundtruth.txt and the camera.
+
+    The camera is calibration.txt, or camera.toml where it names faults.
 
     Raises IdRgbdoError where the folder cannot be written or holds another sequence.
     """
@@ -192,9 +202,18 @@ def write_tum(sequence: RenderedSequence, folder: Path, progress: Progress | Non
     (folder / "associations.txt").write_text(_lines(both))
     poses = (_pose_line(s, T) for s, T in zip(stamps, sequence.T_world_cam, strict=True))
     (folder / "groundtruth.txt").write_text(title + "# timestamp tx ty tz qx qy qz qw\n" + _lines(poses))
-    (folder / "calibration.txt").write_text(f"{c.fx!r} {c.fy!r} {c.cx!r} {c.cy!r}\n")
+    write_camera(c, folder)
     # last: a folder with rgb.txt is complete
     (folder / "rgb.txt").write_text(title + "# timestamp filename\n" + _lines(f"{s} rgb/{s}.png" for s in stamps))
+
+
+def write_camera(config: SynthConfig, folder: Path) -> None:
+    """Write calibration.txt, or camera.toml where there is more to tell than four numbers."""
+    fx, fy, cx, cy = stated_intrinsics(config)
+    if config.faults.named:
+        (folder / "camera.toml").write_text(camera_file(config))
+    else:
+        (folder / "calibration.txt").write_text(f"{fx!r} {fy!r} {cx!r} {cy!r}\n")
 
 
 def synth(config: SynthConfig, out: Path, progress: Progress | None = None) -> RenderedSequence:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..config import Config, checked
 from ..definitions.given import rigid
-from ..frame import Frame, Keyframe, RgbdFrame, check_next, prepare
+from ..frame import Frame, Keyframe, RgbdFrame, check_next
 from ..kernels.se3 import inverse
 from ..measurement import Noise, State, kernel_noise, with_blur
 from ..odometry import Status, TrackResult
@@ -19,13 +19,15 @@ from ..trajectory import Trajectory
 from .alignment import align, displacement
 from .backends import backend_named
 from .history import History
+from .inspection import seen_candidates, tracked_points
+from .instant import steady, takes_time
 from .keyframe import make_keyframe, wants_keyframe
 from .mapping import NOTHING, Cloud, keyframe_cloud, together
 from .motion import Motion, turn_rate
 from .recovery import find_in_places, find_in_window
 from .reference import Reference
 from .results import held, joins, measured
-from .selection import point_bits, select_points, view_margin
+from .selection import select_points, view_margin
 from .tracking import Pair, Tracked, motion_information
 from .verification import LIMITS, Verdict, unsure
 from .warmup import warm_up
@@ -62,20 +64,25 @@ class IdRgbdo:
         self.window = Window(self.config, self.noise, self.backend)
         self.history = History()
         self.lost_in_a_row = 0
+        self.first: RgbdFrame | None = None  # the first frame, until the camera's velocity is known
         self.last: tuple[Keyframe, Tracked] | None = None  # what the last frame was tracked against
 
     def track(self, rgbd: RgbdFrame) -> TrackResult:
         """The pose of the next frame (sections 4 and 5). Raises IdRgbdoError for what check_next refuses."""
         check_next(rgbd, self.reference.keyframe.frame.camera if self.reference else None)
-        frame = prepare(rgbd, self.config.tracking.blur)
+        frame = steady(rgbd, self.motion.velocity(), self.config.tracking.blur)
         if self.reference is None:
+            self.first = rgbd if takes_time(rgbd.camera) else None
             return self._start_segment(frame, "too few points with depth and texture to start from")
         tracked, verdict = self._align(frame, self.reference)
+        if takes_time(rgbd.camera) and not verdict.doubt(LIMITS.lost):
+            frame, tracked, verdict = self._steadied(rgbd, tracked, self.reference)
         if verdict.doubt(LIMITS.weak) and self._late_keyframe(frame, verdict):
             tracked, verdict = self._align(frame, self.reference)
         reference, motion = self.reference, self.motion
         if reason := verdict.doubt(LIMITS.lost):
-            return self._found_again(frame) or self._lost(frame, reason)
+            anew_or_stay = self._start_segment if self.lost_in_a_row >= PATIENCE else self._hold
+            return self._found_again(frame) or anew_or_stay(frame, reason)
         dt = motion.gap(frame.timestamp)
         entropies = self.backend.freedom_entropies(tracked.information)
         after_loss = "the frame before was lost" if self.lost_in_a_row else ""
@@ -83,9 +90,8 @@ class IdRgbdo:
         reference.entropies.append(entropies)
         reference.affine = tracked.affine
         motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame, 0.0 if self.lost_in_a_row else dt)
-        self.lost_in_a_row = 0
+        self.lost_in_a_row, self.last = 0, (reference.keyframe, tracked)
         self.history.add_frame(frame.timestamp, tracked.T_frame_kf)
-        self.last = (reference.keyframe, tracked)
         result = measured(
             motion.T_cam_world, tracked, self.history.keyframe_times[-1], reason, self.history.segment, entropies
         )
@@ -93,6 +99,16 @@ class IdRgbdo:
             result = replace(result, keyframe=True, T_world_cam=torch.from_numpy(inverse(motion.T_cam_world)))
             return self._joined(frame, result) if self.history.segment > 0 else result
         return result
+
+    def _steadied(self, rgbd: RgbdFrame, tracked: Tracked, reference: Reference) -> tuple[Frame, Tracked, Verdict]:
+        """A frame once more, now that its velocity is known; with the second one, the first keyframe too."""
+        velocity = self.motion.velocity_at(tracked.T_frame_kf @ reference.T_kf_world, rgbd.timestamp)
+        still = [steady(image, velocity, self.config.tracking.blur) for image in (self.first, rgbd) if image]
+        if len(self.history.times) == 1 and self.first and self._keyframe(still[0]):
+            self.reset(torch.from_numpy(inverse(self.motion.T_cam_world)))
+            self._start_segment(still[0], "")
+        self.first = None
+        return still[-1], *self._align(still[-1], self.reference or reference)
 
     def _align(self, frame: Frame, reference: Reference) -> tuple[Tracked, Verdict]:
         """A frame against the newest keyframe, from where it is expected."""
@@ -116,9 +132,7 @@ class IdRgbdo:
     def _late_keyframe(self, frame: Frame, verdict: Verdict) -> bool:
         """Make a keyframe of the frame before, which shares most with this one, if that explains this one better."""
         last, turn = self.motion.frame, self.motion.turn
-        if last is None or last.timestamp == self.history.keyframe_times[-1]:
-            return False
-        if (keyframe := self._keyframe(last)) is None:
+        if last is None or last.timestamp == self.history.keyframe_times[-1] or not (keyframe := self._keyframe(last)):
             return False
         prior = motion_information(self.config, KEYFRAME_GAP)
         index = self._select(keyframe, np.eye(4), self.config.selection.points, prior, self.noise)
@@ -132,10 +146,8 @@ class IdRgbdo:
 
     def _choose(self, reference: Reference, pair: Pair, T_frame_kf: Array, prior: Array) -> None:
         """The points to track: chosen anew when the view has moved by the margin that kept them inside the image."""
-        if not self.config.selection.per_frame:
-            return
         margin = view_margin(self.config.selection.margin, reference.keyframe.frame.camera)
-        if displacement(pair, reference.T_chosen, T_frame_kf) < margin:
+        if not self.config.selection.per_frame or displacement(pair, reference.T_chosen, T_frame_kf) < margin:
             return
         reference.T_chosen = T_frame_kf
         reference.index = self._select(reference.keyframe, T_frame_kf, self.config.selection.points, prior, pair.noise)
@@ -193,8 +205,7 @@ class IdRgbdo:
         self.motion.lose()
         self.history.segment = 0 if first else self.history.new_segment()
         self._adopt(keyframe)
-        self.motion.time = frame.timestamp
-        self.lost_in_a_row = 0
+        self.motion.time, self.lost_in_a_row = frame.timestamp, 0
         reason = "" if first else "a new segment starts here, at the last known pose"
         return replace(self._held(frame, Status.OK if first else Status.LOST, reason), keyframe=True)
 
@@ -244,11 +255,8 @@ class IdRgbdo:
         T_world_cam = torch.from_numpy(inverse(self.motion.T_cam_world))
         return replace(result, T_world_cam=T_world_cam, status=Status.WEAK, reason=reason, segment=segment)
 
-    def _lost(self, frame: Frame, reason: str) -> TrackResult:
-        """Stay where we were and say so; after too many such frames begin anew, with this one."""
-        return self._start_segment(frame, reason) if self.lost_in_a_row >= PATIENCE else self._hold(frame, reason)
-
     def _hold(self, frame: Frame, reason: str) -> TrackResult:
+        """Stay where we were and say so."""
         self.lost_in_a_row += 1
         self.motion.lose()
         return self._held(frame, Status.LOST, reason)
@@ -285,16 +293,8 @@ class IdRgbdo:
 
     def last_points(self) -> tuple[Tensor, Tensor]:
         """The points last tracked: (N, 2) px in that frame, and (N,) bits that each adds to what the others know."""
-        if self.last is None:
-            return torch.zeros(0, 2, dtype=torch.float64), torch.zeros(0, dtype=torch.float64)
-        keyframe, tracked = self.last
-        return point_bits(keyframe, tracked.T_frame_kf, tracked.index, self.noise, self.backend)
+        return tracked_points(self.last, self.noise, self.backend)
 
     def last_candidates(self) -> Tensor:
         """(M, 2) px of the candidates that the last frame sees: those it could have been tracked with, else its own."""
-        if self.last is not None:
-            (keyframe, tracked), everyone = self.last, np.arange(len(self.last[0].points.uv))
-            return point_bits(keyframe, tracked.T_frame_kf, everyone, self.noise, self.backend)[0]
-        own = self.reference.keyframe if self.reference else None
-        shown = own is not None and own.frame.timestamp == self.history.times[-1]
-        return torch.tensor(own.points.uv) if own and shown else torch.zeros(0, 2, dtype=torch.float64)
+        return seen_candidates(self.last, self.reference, self.history.times, self.noise, self.backend)

@@ -14,6 +14,7 @@ from ..measurement import RATE
 
 Array = NDArray[np.float64]
 
+GOES_ON = 0.35  # of a change of velocity in the half step to come; half would be exact, were poses without noise
 LONGEST = 3.0  # times the last gap that a velocity is followed
 
 
@@ -45,6 +46,15 @@ class Motion:
         ratio = min(dt / self.dt, LONGEST) if self.dt > 0.0 else 0.0
         return predict(self.T_cam_world, self.T_previous, ratio)
 
+    def velocity(self) -> Array:
+        """(6,) [v, w] of a left increment of T_cam_world, m/s and rad/s, between the last two poses; 0 if unknown."""
+        return twist_between(self.T_cam_world, self.T_previous, self.dt)
+
+    def velocity_at(self, T_cam_world: Array, timestamp: float) -> Array:
+        """(6,) the same at the next pose: the mean since the last one, and a part of what that changed once more."""
+        now, before = twist_between(T_cam_world, self.T_cam_world, self.gap(timestamp)), self.velocity()
+        return now + GOES_ON * (now - before) if before.any() else now
+
     def move(self, T_cam_world: Array, frame: Frame, dt: float) -> None:
         """To a frame's measured pose; dt 0 where the step from the one before is no velocity."""
         self.T_previous, self.T_cam_world, self.dt = self.T_cam_world, T_cam_world, dt
@@ -68,6 +78,11 @@ def predict(T_a: Array, T_b: Array, ratio: float) -> Array:
     """Constant velocity: the motion from T_b to T_a (cam_world poses), times ratio, once more from T_a."""
     T: Array = retract(ratio * log_se3(T_a @ inverse(T_b)), T_a)
     return T
+
+
+def twist_between(T_new: Array, T_old: Array, dt: float) -> Array:
+    """(6,) [v, w] m/s and rad/s between two cam_world poses dt seconds apart; 0 where dt is."""
+    return np.zeros(6) if dt == 0.0 else np.asarray(log_se3(T_new @ inverse(T_old)) / dt)
 
 
 def turn_rate(T_new: Array, T_old: Array, dt: float) -> Array:

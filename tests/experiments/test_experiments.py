@@ -15,11 +15,12 @@ from dask_cluster import dask_cluster
 
 from idrgbdo_torch.commands.cli import main
 from idrgbdo_torch.config import Config
-from idrgbdo_torch.experiments import NAMES, ablation, fig3, fig6, fig7, fig8, run_experiment, table1
+from idrgbdo_torch.errors import IdRgbdoError
+from idrgbdo_torch.experiments import NAMES, ablation, faults, fig3, fig6, fig7, fig8, run_experiment, table1
 from idrgbdo_torch.experiments.lab import Lab, interval, write_report
 from idrgbdo_torch.experiments.paper import TABLE_1
 from idrgbdo_torch.experiments.relatives import RELATIVES
-from idrgbdo_torch.experiments.setup import paper_config, recorded_clips, rendered_clips
+from idrgbdo_torch.experiments.setup import clips_of, paper_config, planned_films, recorded_clips, rendered_clips
 from idrgbdo_torch.experiments.sweep import Workers, read_results
 from idrgbdo_torch.experiments.task import Measured, Task, measure
 
@@ -292,3 +293,21 @@ def test_ours_beside_what_is_published_for_the_recordings(
     assert r"\toprule" in (out / "table1.tex").read_text()
     assert main(["experiment", "fig3", "--tum", str(data)]) == 1
     assert "tum: is for table1" in capsys.readouterr().err
+
+
+def test_faults_are_filmed_named_and_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(faults, "FAULTS", {name: faults.FAULTS[name] for name in ("depth scale", "exposure jumps")})
+    monkeypatch.setattr(faults, "others", lambda methods, quick: ["opencv-rgb"])
+    films = planned_films("fr3_structure_texture_near", 36, True, tmp_path / "cache", None, shrink=4)
+    clips = clips_of(films, TWO, lambda progress: None)
+    small = Lab(clips, tmp_path / "out", TWO, films=films, quick=True)
+    found = report(small, "faults")
+    rows = {row["fault, RPE mm/s"]: row for row in rows_of(small.out / "faults_rpe.csv")}
+    assert list(rows) == ["none", "depth scale", "exposure jumps"]
+    scale = rows["depth scale"]
+    assert scale["size"] == "2 %"
+    assert float(scale["ours-24 named"]) == pytest.approx(float(rows["none"]["ours-24"]), rel=0.25)
+    assert scale["opencv-rgb"] and not rows["exposure jumps"]["ours-24 named"]
+    assert len(found) == 4 and "where camera.toml names it" in found[0] and "opencv-rgb" in found[0]
+    with pytest.raises(IdRgbdoError, match="pass --rendered"):
+        run_experiment("faults", replace(small, films=()))

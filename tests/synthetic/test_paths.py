@@ -45,7 +45,7 @@ def test_bad_trajectories_are_named(tmp_path: Path) -> None:
     file = trajectory_file(tmp_path, False)
     with pytest.raises(IdRgbdoError, match="start: expected"):
         recorded_path(file, 3.0, 10.0)
-    with pytest.raises(IdRgbdoError, match="trajectory: expected a text file"):
+    with pytest.raises(IdRgbdoError, match="trajectory: cannot read"):
         recorded_path(tmp_path / "none.txt", 0.0, 1.0)
     (tmp_path / "short.txt").write_text("1 2 3\n2 3 4\n")
     with pytest.raises(IdRgbdoError, match="8 numbers"):
