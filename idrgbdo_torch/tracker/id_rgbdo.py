@@ -19,6 +19,7 @@ from ..trajectory import Trajectory
 from .alignment import align, displacement
 from .backends import backend_named
 from .history import History
+from .intruder import without_intruder
 from .keyframe import make_keyframe, wants_keyframe
 from .mapping import NOTHING, Cloud, keyframe_cloud, together
 from .motion import Motion, turn_rate
@@ -145,9 +146,15 @@ class IdRgbdo:
 
     def _new_keyframe(self, frame: Frame) -> bool:
         """Make a keyframe of the frame just tracked and refine the window; False where it has too few candidates."""
-        if (keyframe := self._keyframe(frame)) is not None:
+        if (keyframe := self._keyframe(frame)) is None:
+            return False
+        known = list(self.window_keyframes().values())
+        some = [known[k] for k in sorted({len(known) - 1, len(known) // 2, 0})]
+        T_world_kf = inverse(self.motion.T_cam_world)
+        keyframe = without_intruder(keyframe, [(T @ T_world_kf, other.frame) for other, T in some])
+        if enough := len(keyframe.points.uv) >= FEWEST_CANDIDATES:
             self._adopt(keyframe, self.history.T_cam_kf[-1])
-        return keyframe is not None
+        return enough
 
     def _keyframe(self, frame: Frame) -> Keyframe | None:
         """A keyframe of a frame, None where it has too few candidates."""
