@@ -19,7 +19,7 @@ from ..trajectory import Trajectory
 from .alignment import align, displacement
 from .backends import backend_named
 from .history import History
-from .intruder import without_intruder
+from .intruder import blocked, without_intruder
 from .keyframe import make_keyframe, wants_keyframe
 from .mapping import NOTHING, Cloud, keyframe_cloud, together
 from .motion import Motion, turn_rate
@@ -37,6 +37,7 @@ Index = NDArray[np.int64]
 
 FEWEST_CANDIDATES = 16  # that make a keyframe
 PATIENCE = 3  # lost frames in a row before a new segment starts
+BLOCKED_S = 1.0  # s that it waits for something in front of the view to go
 KEYFRAME_GAP = 1.0 / 30.0  # s, gap of the motion prior that a new keyframe's points are chosen with
 
 
@@ -119,7 +120,7 @@ class IdRgbdo:
         last, turn = self.motion.frame, self.motion.turn
         if last is None or last.timestamp == self.history.keyframe_times[-1]:
             return False
-        if (keyframe := self._keyframe(last)) is None:
+        if (keyframe := self._keyframe(last, self.motion.T_cam_world)) is None:
             return False
         prior = motion_information(self.config, KEYFRAME_GAP)
         index = self._select(keyframe, np.eye(4), self.config.selection.points, prior, self.noise)
@@ -146,20 +147,22 @@ class IdRgbdo:
 
     def _new_keyframe(self, frame: Frame) -> bool:
         """Make a keyframe of the frame just tracked and refine the window; False where it has too few candidates."""
-        if (keyframe := self._keyframe(frame)) is None:
-            return False
-        known = list(self.window_keyframes().values())
-        some = [known[k] for k in sorted({len(known) - 1, len(known) // 2, 0})]
-        T_world_kf = inverse(self.motion.T_cam_world)
-        keyframe = without_intruder(keyframe, [(T @ T_world_kf, other.frame) for other, T in some])
-        if enough := len(keyframe.points.uv) >= FEWEST_CANDIDATES:
+        if (keyframe := self._keyframe(frame, self.motion.T_cam_world)) is not None:
             self._adopt(keyframe, self.history.T_cam_kf[-1])
-        return enough
+        return keyframe is not None
 
-    def _keyframe(self, frame: Frame) -> Keyframe | None:
-        """A keyframe of a frame, None where it has too few candidates."""
+    def _keyframe(self, frame: Frame, T_frame_world: Array | None = None) -> Keyframe | None:
+        """A keyframe of a frame at a pose, None where it has too few candidates."""
         keyframe = make_keyframe(frame, self.config, self.rng, self.backend)
+        if T_frame_world is not None:
+            keyframe = without_intruder(keyframe, self._known_views(T_frame_world))
         return keyframe if len(keyframe.points.uv) >= FEWEST_CANDIDATES else None
+
+    def _known_views(self, T_frame_world: Array) -> list[tuple[Array, Frame]]:
+        """Some keyframes of the window, the newest among them, with their pose T_kf_frame (4, 4) against a frame's."""
+        known, T_world_frame = list(self.window_keyframes().values()), inverse(T_frame_world)
+        some = [known[k] for k in sorted({len(known) - 1, len(known) // 2, 0})]
+        return [(T @ T_world_frame, keyframe.frame) for keyframe, T in some]
 
     def _adopt(self, keyframe: Keyframe, T_kf_previous: Array | None = None) -> None:
         """Choose a keyframe's points, add it to the window and to history, and track against it from now on.
@@ -219,12 +222,15 @@ class IdRgbdo:
         pair = Pair(frame, newest, self.noise, self.backend)
         found = find_in_window(pair, self.motion.predicted(self.motion.gap(frame.timestamp)), window)
         found = found or find_in_places(pair, self.history.places.likely(pair.frame, self.lost_in_a_row))
-        if found is None or (keyframe := self._keyframe(frame)) is None:
-            return None
         history = self.history
+        if found is None:
+            return None
+        T_cam_world = found.tracked.T_frame_kf @ history.keyframe_poses[found.number]
+        if (keyframe := self._keyframe(frame, T_cam_world)) is None:
+            return None
         if found.number not in window:
             self._leave_window()
-        self.motion.move(found.tracked.T_frame_kf @ history.keyframe_poses[found.number], frame, 0.0)
+        self.motion.move(T_cam_world, frame, 0.0)
         self.motion.lose()
         self.reference, self.lost_in_a_row, self.last = None, 0, None
         history.segment = history.segments[found.number]
@@ -253,7 +259,11 @@ class IdRgbdo:
 
     def _lost(self, frame: Frame, reason: str) -> TrackResult:
         """Stay where we were and say so; after too many such frames begin anew, with this one."""
-        return self._start_segment(frame, reason) if self.lost_in_a_row >= PATIENCE else self._hold(frame, reason)
+        patient = self.lost_in_a_row < PATIENCE
+        waited = frame.timestamp - self.motion.time < BLOCKED_S
+        if not patient and waited and blocked(frame, self._known_views(self.motion.T_cam_world)):
+            patient, reason = True, "something blocks the view"
+        return self._hold(frame, reason) if patient else self._start_segment(frame, reason)
 
     def _hold(self, frame: Frame, reason: str) -> TrackResult:
         self.lost_in_a_row += 1

@@ -17,9 +17,13 @@ Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 AROUND = ((0, 0), (-4, 0), (4, 0), (0, -4), (0, 4))  # px, where the depth about a point must all say the same
+MOST_AROUND = 3  # of these, of which none may say the contrary
+OF_IT = 0.3  # share of a surface that intrudes, from which on all of it does, as far as it is not known to stand
 INTRUDERS = 0.03  # share of a keyframe's points that stand where was nothing, from which on they are left out
 STEP = 4  # px between the pixels that are looked at to outline an intruder
-MARGIN = 3  # such steps by which its outline is widened
+MARGIN = 12  # px by which its outline is widened
+FAR_M = 1e3  # m, farther than anything
+BLOCKED = 0.4  # share of the image that an intruder fills, from which on nothing new begins on it
 
 
 def placed(uv: Array, inv_depth: Array, T_frame_kf: Array, frame: Frame) -> tuple[Mask, Index, Index, Array]:
@@ -44,18 +48,20 @@ def hidden(points: Points, T_frame_kf: Array, frame: Frame) -> Mask:
     return out
 
 
-def intruding(uv: Array, inv_depth: Array, T_before_kf: Array, before: Frame) -> Mask:
-    """(N,): points of a new keyframe that stand where the one before, at this pose (4, 4), saw through, all around, or
-    saw an intruder itself.
+def intruding(uv: Array, inv_depth: Array, T_before_kf: Array, before: Frame) -> tuple[Mask, Mask]:
+    """Of points of a new keyframe, (N,) each: those that stand where the one before, at this pose (4, 4), saw through
+    or saw an intruder itself, all around; and those that it saw too.
     """
     inside, u, v, z = placed(uv, inv_depth, T_before_kf, before)
     height, width = before.depth.shape
-    through, of_it = inside.copy(), inside.copy()
+    foreign, contrary = np.zeros(len(z), np.int64), ~inside
     for du, dv in AROUND:
         there = before.depth[(v + dv).clip(0, height - 1), (u + du).clip(0, width - 1)]
-        through &= there > z * (1.0 + IN_FRONT)
-        of_it &= (there < 0.0) & (z < -there * (1.0 + IN_FRONT))
-    return through | of_it
+        not_it = (there > z * (1.0 + IN_FRONT)) | ((there < 0.0) & (z < -there * (1.0 + IN_FRONT)))
+        foreign += not_it
+        contrary |= (there > 0.0) & ~not_it
+    same = inside & (np.abs(before.depth[v, u] - z) < IN_FRONT * z)
+    return (foreign >= MOST_AROUND) & ~contrary, same
 
 
 def without_intruder(keyframe: Keyframe, others: Sequence[tuple[Array, Frame]]) -> Keyframe:
@@ -66,32 +72,54 @@ def without_intruder(keyframe: Keyframe, others: Sequence[tuple[Array, Frame]]) 
     be more than borders and noise.
     """
     points, frame = keyframe.points, keyframe.frame
-    foreign = np.zeros(len(points.uv), np.bool_)
-    for T, other in others:
-        foreign |= intruding(points.uv, points.inv_depth, T, other)
-    if foreign.mean() <= INTRUDERS:
+    foreign, _ = by_any(points.uv, points.inv_depth, others)
+    if foreign.sum() <= INTRUDERS * len(foreign):
         return keyframe
     outline = outlined(frame, others)
+    about = cv2.dilate(outline, np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)) > 0
     u, v = points.uv.astype(np.int64).T
-    stays = only(keyframe, ~(foreign | outline[v, u]))
-    depth = np.where(outline, -np.abs(frame.depth), frame.depth)
+    stays = only(keyframe, ~(foreign | about[v, u]))
+    depth = np.where(outline > 0, -frame.depth, np.where(about, np.float32(0.0), frame.depth))
     return replace(stays, frame=replace(frame, depth=depth))
 
 
-def outlined(frame: Frame, others: Sequence[tuple[Array, Frame]]) -> Mask:
-    """(H, W): where a frame sees what others, each at T_other_frame (4, 4), did not see there."""
+def by_any(uv: Array, inv_depth: Array, others: Sequence[tuple[Array, Frame]]) -> tuple[Mask, Mask]:
+    """intruding() by any of several, and seen by any of them where none says intruding."""
+    foreign, seen = np.zeros(len(uv), np.bool_), np.zeros(len(uv), np.bool_)
+    for T, other in others:
+        intrudes, same = intruding(uv, inv_depth, T, other)
+        foreign |= intrudes
+        seen |= same
+    return foreign, seen & ~foreign
+
+
+def blocked(frame: Frame, others: Sequence[tuple[Array, Frame]]) -> bool:
+    """Whether something that others, each at T_other_frame (4, 4), did not see there fills much of a frame's view."""
+    return bool(outlined(frame, others).mean() > BLOCKED)
+
+
+def outlined(frame: Frame, others: Sequence[tuple[Array, Frame]]) -> NDArray[np.uint8]:
+    """(H, W), 1 where a frame sees what others, each at T_other_frame (4, 4), did not see there; and the rest of that
+    surface, as far as they do not know it.
+    """
     height, width = frame.depth.shape
     v, u = (x.ravel() for x in np.mgrid[0:height:STEP, 0:width:STEP])
     z = frame.depth[v, u].astype(np.float64)
     inv_depth = np.divide(1.0, z, out=np.zeros_like(z), where=z > 0.0)
-    foreign = np.zeros(len(z), np.bool_)
-    for T, other in others:
-        foreign |= intruding(np.column_stack([u, v]).astype(np.float64), inv_depth, T, other)
-    coarse = foreign.reshape(-(-height // STEP), -(-width // STEP)).astype(np.uint8)
-    coarse = cv2.morphologyEx(coarse, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    coarse = cv2.dilate(coarse, np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8))
-    whole = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_NEAREST)
-    return whole.astype(np.bool_)
+    foreign, seen = by_any(np.column_stack([u, v]).astype(np.float64), inv_depth, others)
+    size = -(-height // STEP), -(-width // STEP)
+    depth = z.reshape(size)
+    farthest = cv2.dilate(depth, np.ones((3, 3), np.uint8))
+    nearest = cv2.erode(np.where(depth > 0.0, depth, FAR_M), np.ones((3, 3), np.uint8))
+    coarse = cv2.morphologyEx(foreign.reshape(size).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    smooth = farthest < (1.0 + IN_FRONT / 2.0) * nearest
+    unknown = (depth > 0.0) & ~seen.reshape(size) & smooth
+    count, surface = cv2.connectedComponents((unknown | (coarse > 0)).astype(np.uint8), connectivity=4)
+    of_it = np.bincount(surface.ravel(), coarse.ravel(), count) >= OF_IT * np.bincount(surface.ravel(), None, count)
+    of_it[0] = False
+    whole = (of_it[surface] | (coarse > 0)).astype(np.uint8)
+    out: NDArray[np.uint8] = cv2.resize(whole, (width, height), interpolation=cv2.INTER_NEAREST)
+    return out
 
 
 def only(keyframe: Keyframe, mask: Mask) -> Keyframe:
