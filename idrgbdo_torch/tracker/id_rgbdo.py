@@ -76,7 +76,7 @@ class IdRgbdo:
         if verdict.doubt(LIMITS.weak) and self._late_keyframe(frame, verdict):
             tracked, verdict = self._align(frame, self.reference)
         reference, motion = self.reference, self.motion
-        if reason := verdict.doubt(LIMITS.lost):
+        if reason := verdict.doubt(LIMITS.sure if self.lost_in_a_row else LIMITS.lost):
             return self._found_again(frame) or self._lost(frame, reason)
         dt = motion.gap(frame.timestamp)
         entropies = self.backend.freedom_entropies(tracked.information)
@@ -116,7 +116,10 @@ class IdRgbdo:
         return Pair(frame, reference.keyframe, noise, self.backend)
 
     def _late_keyframe(self, frame: Frame, verdict: Verdict) -> bool:
-        """Make a keyframe of the frame before, which shares most with this one, if that explains this one better."""
+        """Make a keyframe of the frame before, which shares most with this one, if that explains this one better.
+
+        Where this one is lost it becomes one in any case, as what is seen again is most likely the last that was seen.
+        """
         last, turn = self.motion.frame, self.motion.turn
         if last is None or last.timestamp == self.history.keyframe_times[-1]:
             return False
@@ -128,7 +131,7 @@ class IdRgbdo:
         _, other = self._align(frame, Reference(keyframe, self.motion.T_cam_world, self.motion.turn, index))
         helps = other.score > verdict.score and not other.doubt(LIMITS.weak)
         self.motion.turn = self.motion.frame_turn if helps else turn
-        if helps:
+        if helps or verdict.doubt(LIMITS.lost):
             self._adopt(keyframe, self.history.T_cam_kf[-1])
         return helps
 
@@ -154,9 +157,9 @@ class IdRgbdo:
     def _keyframe(self, frame: Frame, T_frame_world: Array | None = None) -> Keyframe | None:
         """A keyframe of a frame at a pose, None where it has too few candidates."""
         keyframe = make_keyframe(frame, self.config, self.rng, self.backend)
-        if T_frame_world is not None:
-            keyframe = without_intruder(keyframe, self._known_views(T_frame_world))
-        return keyframe if len(keyframe.points.uv) >= FEWEST_CANDIDATES else None
+        if len(keyframe.points.uv) >= FEWEST_CANDIDATES:
+            return keyframe if T_frame_world is None else without_intruder(keyframe, self._known_views(T_frame_world))
+        return None
 
     def _known_views(self, T_frame_world: Array) -> list[tuple[Array, Frame]]:
         """Some keyframes of the window, the newest among them, with their pose T_kf_frame (4, 4) against a frame's."""

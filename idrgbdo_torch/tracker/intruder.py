@@ -20,6 +20,7 @@ AROUND = ((0, 0), (-4, 0), (4, 0), (0, -4), (0, 4))  # px, where the depth about
 MOST_AROUND = 3  # of these, of which none may say the contrary
 OF_IT = 0.3  # share of a surface that intrudes, from which on all of it does, as far as it is not known to stand
 INTRUDERS = 0.03  # share of a keyframe's points that stand where was nothing, from which on they are left out
+LEFT = 0.2  # share of its points that must be left
 STEP = 4  # px between the pixels that are looked at to outline an intruder
 MARGIN = 12  # px by which its outline is widened
 FAR_M = 1e3  # m, farther than anything
@@ -64,12 +65,12 @@ def intruding(uv: Array, inv_depth: Array, T_before_kf: Array, before: Frame) ->
     return (foreign >= MOST_AROUND) & ~contrary, same
 
 
-def without_intruder(keyframe: Keyframe, others: Sequence[tuple[Array, Frame]]) -> Keyframe:
+def without_intruder(keyframe: Keyframe, others: Sequence[tuple[Array, Frame]]) -> Keyframe | None:
     """A new keyframe without the points that stand where others, each at T_other_kf (4, 4), saw nothing.
 
     They belong to something that moved there, which must not be taken for the world. Its depth becomes negative, so
     that no one measures it, and the next keyframe knows it again. The same keyframe where such points are too few to
-    be more than borders and noise.
+    be more than borders and noise, None where they leave too little of it.
     """
     points, frame = keyframe.points, keyframe.frame
     foreign, _ = by_any(points.uv, points.inv_depth, others)
@@ -78,7 +79,10 @@ def without_intruder(keyframe: Keyframe, others: Sequence[tuple[Array, Frame]]) 
     outline = outlined(frame, others)
     about = cv2.dilate(outline, np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)) > 0
     u, v = points.uv.astype(np.int64).T
-    stays = only(keyframe, ~(foreign | about[v, u]))
+    own = ~(foreign | about[v, u])
+    if own.mean() < LEFT:
+        return None
+    stays = only(keyframe, own)
     depth = np.where(outline > 0, -frame.depth, np.where(about, np.float32(0.0), frame.depth))
     return replace(stays, frame=replace(frame, depth=depth))
 

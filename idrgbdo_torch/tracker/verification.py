@@ -32,7 +32,7 @@ class Limits:
     depth_above: float = 0.12  # how much larger the share must be in depth, which knows no shadows and highlights
     few_depths: int = 12  # fewer measured depths than this are too few to judge by
     in_front: float = 0.15  # share of hidden points under which nothing stands in front: borders and parallax
-    blocked: float = 0.6  # share above which something fills the view
+    beside: int = 24  # points with depth beside something in front that a pose can be judged by
     points: int = 6  # a pose has six degrees of freedom
     gain: float = 1.0  # of the logarithm: with no contrast left, a black or white image would explain everything
     unsure_bits: float = -7.0  # entropy of the least certain degree of freedom: 2 mm or 2 mrad given the others
@@ -86,8 +86,11 @@ def verify(pair: Pair, tracked: Tracked) -> Verdict:
     verdict = judged(found, len(witnesses))
     if verdict.hidden < LIMITS.in_front or not verdict.doubt(LIMITS.weak):
         return verdict
-    beside = judged(unhidden(found), len(witnesses))  # what can be seen at all, if that is sure of the pose
-    return verdict if beside.doubt(LIMITS.sure) else replace(beside, hidden=verdict.hidden)
+    rest = unhidden(found)
+    beside = judged(rest, len(witnesses))  # what can be seen at all, if that is enough, and sure of the pose
+    if rest.with_depth < LIMITS.beside or beside.doubt(LIMITS.sure):
+        return verdict
+    return replace(beside, hidden=verdict.hidden)
 
 
 def judged(found: Agreement, witnesses: int) -> Verdict:
