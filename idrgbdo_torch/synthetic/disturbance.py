@@ -47,12 +47,12 @@ def smeared(frame: RgbdFrame, length_px: float, angle_rad: float) -> RgbdFrame:
     for s in steps:
         kernel[round(half + float(s * np.sin(angle_rad))), round(half + float(s * np.cos(angle_rad)))] += 1.0
     blurred = cv2.filter2D(frame.gray.numpy(), -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
-    return _seen(frame, blurred, frame.depth.numpy())
+    return _seen(frame, np.asarray(blurred, np.float32), frame.depth.numpy())
 
 
 def exposed(frame: RgbdFrame, gain: float, offset: float = 0.0) -> RgbdFrame:
     """Brighter or darker by a gain and gray levels, clipped as a sensor clips."""
-    return _seen(frame, gain * frame.gray.numpy() + np.float32(offset), frame.depth.numpy())
+    return _seen(frame, np.float32(gain) * frame.gray.numpy() + np.float32(offset), frame.depth.numpy())
 
 
 def flipped(frame: RgbdFrame, axes: tuple[int, ...]) -> RgbdFrame:

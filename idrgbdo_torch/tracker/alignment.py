@@ -66,9 +66,7 @@ def align(
     return tracked, verdict, displacement(pair, start.T, tracked.T_frame_kf)
 
 
-def align_beside(
-    pair: Pair, start: State, index: Index, information: Array, levels: int
-) -> tuple[Tracked, Verdict]:
+def align_beside(pair: Pair, start: State, index: Index, information: Array, levels: int) -> tuple[Tracked, Verdict]:
     """Align a frame with the points alone that nothing hides at the start, as many of them as there are."""
     behind = hidden(pair.keyframe.points, start.T, pair.frame)
     coarse = pair.keyframe.coarse[~behind[pair.keyframe.coarse]]

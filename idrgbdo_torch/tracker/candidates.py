@@ -63,7 +63,7 @@ def without_speckles(depth: Array) -> Array:
     middle = slice(1, -1)
     rows = slice(1, -1, LOOK)
     sides = hole[rows, :-2] | hole[rows, 2:]
-    sides |= hole[: -2 : LOOK, middle] | hole[2 :: LOOK, middle]
+    sides |= hole[:-2:LOOK, middle] | hole[2::LOOK, middle]
     if not (hole[rows, middle] & ~sides).mean() > SPECKLED:
         return depth
     count = cv2.boxFilter((~hole).astype(np.float32), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)

@@ -154,7 +154,7 @@ def poses_of_triangles(P: Array, Q: Array) -> Array:
 
 
 def refined_perspective(T: Array, P: Array, uv: Array, camera: Array) -> Array:
-    """The pose (4, 4) that puts points (M, 3) nearest to their pixels (M, 2), from a close one; that one if it fails."""
+    """The pose (4, 4) that puts points (M, 3) nearest to their pixels (M, 2), from a close one; else that one."""
     fx, fy, cx, cy = camera
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     rvec, t = cv2.Rodrigues(T[:3, :3])[0], T[:3, 3].copy()

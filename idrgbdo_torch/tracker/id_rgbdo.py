@@ -19,14 +19,15 @@ from ..trajectory import Trajectory
 from .alignment import align, displacement
 from .backends import backend_named
 from .history import History
-from .intruder import blocked, without_intruder
+from .inspection import Shown
+from .intruder import blocked, some_views, without_intruder
 from .keyframe import make_keyframe, wants_keyframe
 from .mapping import NOTHING, Cloud, keyframe_cloud, together
 from .motion import Motion, turn_rate
 from .recovery import find_in_places, find_in_window
 from .reference import Reference
 from .results import held, joins, measured
-from .selection import point_bits, select_points, view_margin
+from .selection import select_points, view_margin
 from .tracking import Pair, Tracked, motion_information
 from .verification import LIMITS, Verdict, unsure
 from .warmup import warm_up
@@ -41,7 +42,7 @@ BLOCKED_S = 1.0  # s that it waits for something in front of the view to go
 KEYFRAME_GAP = 1.0 / 30.0  # s, gap of the motion prior that a new keyframe's points are chosen with
 
 
-class IdRgbdo:
+class IdRgbdo(Shown):
     """Information-driven direct RGB-D odometry (an Odometry)."""
 
     name = "id-rgbdo"
@@ -158,14 +159,12 @@ class IdRgbdo:
         """A keyframe of a frame at a pose, None where it has too few candidates."""
         keyframe = make_keyframe(frame, self.config, self.rng, self.backend)
         if len(keyframe.points.uv) >= FEWEST_CANDIDATES:
-            return keyframe if T_frame_world is None else without_intruder(keyframe, self._known_views(T_frame_world))
+            return (
+                keyframe
+                if T_frame_world is None
+                else without_intruder(keyframe, some_views(self.window_keyframes(), T_frame_world))
+            )
         return None
-
-    def _known_views(self, T_frame_world: Array) -> list[tuple[Array, Frame]]:
-        """Some keyframes of the window, the newest among them, with their pose T_kf_frame (4, 4) against a frame's."""
-        known, T_world_frame = list(self.window_keyframes().values()), inverse(T_frame_world)
-        some = [known[k] for k in sorted({len(known) - 1, len(known) // 2, 0})]
-        return [(T @ T_world_frame, keyframe.frame) for keyframe, T in some]
 
     def _adopt(self, keyframe: Keyframe, T_kf_previous: Array | None = None) -> None:
         """Choose a keyframe's points, add it to the window and to history, and track against it from now on.
@@ -223,13 +222,11 @@ class IdRgbdo:
         window = self.window_keyframes()
         _, (newest, _) = window.popitem()  # which has been tried
         pair = Pair(frame, newest, self.noise, self.backend)
-        found = find_in_window(pair, self.motion.predicted(self.motion.gap(frame.timestamp)), window)
-        found = found or find_in_places(pair, self.history.places.likely(pair.frame, self.lost_in_a_row))
         history = self.history
-        if found is None:
-            return None
-        T_cam_world = found.tracked.T_frame_kf @ history.keyframe_poses[found.number]
-        if (keyframe := self._keyframe(frame, T_cam_world)) is None:
+        found = find_in_window(pair, self.motion.predicted(self.motion.gap(frame.timestamp)), window)
+        found = found or find_in_places(pair, history.places.likely(pair.frame, self.lost_in_a_row))
+        T_cam_world = found.tracked.T_frame_kf @ history.keyframe_poses[found.number] if found else np.eye(4)
+        if found is None or (keyframe := self._keyframe(frame, T_cam_world)) is None:
             return None
         if found.number not in window:
             self._leave_window()
@@ -262,11 +259,12 @@ class IdRgbdo:
 
     def _lost(self, frame: Frame, reason: str) -> TrackResult:
         """Stay where we were and say so; after too many such frames begin anew, with this one."""
-        patient = self.lost_in_a_row < PATIENCE
-        waited = frame.timestamp - self.motion.time < BLOCKED_S
-        if not patient and waited and blocked(frame, self._known_views(self.motion.T_cam_world)):
-            patient, reason = True, "something blocks the view"
-        return self._hold(frame, reason) if patient else self._start_segment(frame, reason)
+        if self.lost_in_a_row < PATIENCE:
+            return self._hold(frame, reason)
+        views = some_views(self.window_keyframes(), self.motion.T_cam_world)
+        if frame.timestamp - self.motion.time < BLOCKED_S and blocked(frame, views):
+            return self._hold(frame, "something blocks the view")
+        return self._start_segment(frame, reason)
 
     def _hold(self, frame: Frame, reason: str) -> TrackResult:
         self.lost_in_a_row += 1
@@ -298,23 +296,3 @@ class IdRgbdo:
         if not members and reference is not None:  # the window is off
             return {len(self.history.keyframe_poses) - 1: (reference.keyframe, reference.T_kf_world)}
         return dict(zip(self.history.in_window, zip(members.keyframes, members.T, strict=True), strict=True))
-
-    def last_alignment(self) -> tuple[Keyframe, Tracked] | None:
-        """The keyframe that the last frame was tracked against, and how; None where it was not tracked."""
-        return self.last
-
-    def last_points(self) -> tuple[Tensor, Tensor]:
-        """The points last tracked: (N, 2) px in that frame, and (N,) bits that each adds to what the others know."""
-        if self.last is None:
-            return torch.zeros(0, 2, dtype=torch.float64), torch.zeros(0, dtype=torch.float64)
-        keyframe, tracked = self.last
-        return point_bits(keyframe, tracked.T_frame_kf, tracked.index, self.noise, self.backend)
-
-    def last_candidates(self) -> Tensor:
-        """(M, 2) px of the candidates that the last frame sees: those it could have been tracked with, else its own."""
-        if self.last is not None:
-            (keyframe, tracked), everyone = self.last, np.arange(len(self.last[0].points.uv))
-            return point_bits(keyframe, tracked.T_frame_kf, everyone, self.noise, self.backend)[0]
-        own = self.reference.keyframe if self.reference else None
-        shown = own is not None and own.frame.timestamp == self.history.times[-1]
-        return torch.from_numpy(own.points.uv) if own and shown else torch.zeros(0, 2, dtype=torch.float64)

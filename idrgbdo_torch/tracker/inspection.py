@@ -5,11 +5,17 @@ from __future__ import annotations
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from ..frame import Keyframe
+from ..measurement import Noise
+from .backends import Backend
+from .history import History
 from .mapping import Cloud
+from .reference import Reference
+from .selection import point_bits
 from .tracking import Tracked
 
 
@@ -31,3 +37,33 @@ class Inspectable(Protocol):
 
     def maps(self) -> dict[int, Cloud]:
         """By segment, the points of its keyframes with colours and normals; segments lie in worlds of their own."""
+
+
+class Shown:
+    """What an odometry says of its last frame, from what it keeps of it."""
+
+    last: tuple[Keyframe, Tracked] | None  # what the last frame was tracked against
+    reference: Reference | None
+    history: History
+    noise: Noise
+    backend: Backend
+
+    def last_alignment(self) -> tuple[Keyframe, Tracked] | None:
+        """The keyframe that the last frame was tracked against, and how; None where it was not tracked."""
+        return self.last
+
+    def last_points(self) -> tuple[Tensor, Tensor]:
+        """The points last tracked: (N, 2) px in that frame, and (N,) bits that each adds to what the others know."""
+        if self.last is None:
+            return torch.zeros(0, 2, dtype=torch.float64), torch.zeros(0, dtype=torch.float64)
+        keyframe, tracked = self.last
+        return point_bits(keyframe, tracked.T_frame_kf, tracked.index, self.noise, self.backend)
+
+    def last_candidates(self) -> Tensor:
+        """(M, 2) px of the candidates that the last frame sees: those it could have been tracked with, else its own."""
+        if self.last is not None:
+            (keyframe, tracked), everyone = self.last, np.arange(len(self.last[0].points.uv))
+            return point_bits(keyframe, tracked.T_frame_kf, everyone, self.noise, self.backend)[0]
+        own = self.reference.keyframe if self.reference else None
+        shown = own is not None and own.frame.timestamp == self.history.times[-1]
+        return torch.from_numpy(own.points.uv) if own and shown else torch.zeros(0, 2, dtype=torch.float64)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frame import Frame, Keyframe
+from ..kernels.se3 import inverse
 from ..measurement import IN_FRONT, Points
 
 Array = NDArray[np.float64]
@@ -25,6 +26,15 @@ STEP = 4  # px between the pixels that are looked at to outline an intruder
 MARGIN = 12  # px by which its outline is widened
 FAR_M = 1e3  # m, farther than anything
 BLOCKED = 0.4  # share of the image that an intruder fills, from which on nothing new begins on it
+
+
+def some_views(window: dict[int, tuple[Keyframe, Array]], T_frame_world: Array) -> list[tuple[Array, Frame]]:
+    """The newest, a middle and the oldest keyframe of a window (T_kf_world (4, 4) with each), as a frame is held
+    against them: with T_kf_frame (4, 4).
+    """
+    known, T_world_frame = list(window.values()), inverse(T_frame_world)
+    some = [known[k] for k in sorted({len(known) - 1, len(known) // 2, 0})]
+    return [(T @ T_world_frame, keyframe.frame) for keyframe, T in some]
 
 
 def placed(uv: Array, inv_depth: Array, T_frame_kf: Array, frame: Frame) -> tuple[Mask, Index, Index, Array]:
