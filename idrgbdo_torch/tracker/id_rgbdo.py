@@ -86,7 +86,7 @@ class IdRgbdo(Shown):
         reference.entropies.append(entropies)
         reference.affine = tracked.affine
         motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame, 0.0 if self.lost_in_a_row else dt)
-        self.lost_in_a_row = 0
+        self.lost_in_a_row, motion.hidden = 0, verdict.hidden
         self.history.add_frame(frame.timestamp, tracked.T_frame_kf)
         self.last = (reference.keyframe, tracked)
         result = measured(
@@ -261,8 +261,8 @@ class IdRgbdo(Shown):
         """Stay where we were and say so; after too many such frames begin anew, with this one."""
         if self.lost_in_a_row < PATIENCE:
             return self._hold(frame, reason)
-        views = some_views(self.window_keyframes(), self.motion.T_cam_world)
-        if frame.timestamp - self.motion.time < BLOCKED_S and blocked(frame, views):
+        entered = self.motion.hidden > LIMITS.in_front and frame.timestamp - self.motion.time < BLOCKED_S
+        if entered and blocked(frame, some_views(self.window_keyframes(), self.motion.T_cam_world)):
             return self._hold(frame, "something blocks the view")
         return self._start_segment(frame, reason)
 

@@ -27,6 +27,7 @@ class Motion:
     time: float = 0.0  # s, of the last pose that was measured: lost frames since then do not count
     surprise_px: float = inf  # px in the image between the last frame's guess and pose
     turn: Array = field(default_factory=lambda: np.zeros(3))  # rad/s, of the last frame
+    hidden: float = 0.0  # share of the keyframe's points that something hid from the last measured frame
     frame: Frame | None = None  # the last one, where it was measured,
     frame_turn: Array = field(default_factory=lambda: np.zeros(3))  # and its turn
 
