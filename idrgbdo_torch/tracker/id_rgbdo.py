@@ -133,6 +133,7 @@ class IdRgbdo(Shown):
         helps = other.score > verdict.score and not other.doubt(LIMITS.weak)
         self.motion.turn = self.motion.frame_turn if helps else turn
         if helps or verdict.doubt(LIMITS.lost):
+            self.motion.said = self.motion.T_cam_world  # a lost frame is held there, wherever the window moves it
             self._adopt(keyframe, self.history.T_cam_kf[-1])
         return helps
 
@@ -203,6 +204,7 @@ class IdRgbdo(Shown):
         first = self.reference is None
         self._leave_window()
         self.motion.lose()
+        self.motion.T_cam_world = self.motion.shown
         self.history.segment = 0 if first else self.history.new_segment()
         self._adopt(keyframe)
         self.motion.time = frame.timestamp
@@ -276,7 +278,7 @@ class IdRgbdo(Shown):
         T_kf_world = self.motion.T_cam_world if self.reference is None else self.reference.T_kf_world
         self.history.add_frame(frame.timestamp, self.motion.T_cam_world @ inverse(T_kf_world))
         self.last = None
-        return held(self.motion.T_cam_world, status, reason, self.history.segment)
+        return held(self.motion.shown, status, reason, self.history.segment)
 
     def trajectory(self) -> Trajectory:
         """Every frame's pose by all that is known now, the frames after it included."""

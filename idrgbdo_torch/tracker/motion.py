@@ -31,6 +31,13 @@ class Motion:
     frame: Frame | None = None  # the last one, where it was measured,
     frame_turn: Array = field(default_factory=lambda: np.zeros(3))  # and its turn
 
+    said: Array | None = None  # (4, 4) the last pose that was given, where it was refined since then in a loss
+
+    @property
+    def shown(self) -> Array:
+        """The pose (4, 4) that a lost frame is held at: the last that was given."""
+        return self.T_cam_world if self.said is None else self.said
+
     @staticmethod
     def at(T_cam_world: Array) -> Motion:
         """Of a camera that has not been seen moving."""
@@ -49,7 +56,7 @@ class Motion:
     def move(self, T_cam_world: Array, frame: Frame, dt: float) -> None:
         """To a frame's measured pose; dt 0 where the step from the one before is no velocity."""
         self.T_previous, self.T_cam_world, self.dt = self.T_cam_world, T_cam_world, dt
-        self.frame, self.frame_turn, self.time = frame, self.turn, frame.timestamp
+        self.frame, self.frame_turn, self.time, self.said = frame, self.turn, frame.timestamp, None
 
     def correct(self, T_cam_world: Array) -> None:
         """The present pose was refined: the one before follows, so that the velocity stays."""
