@@ -20,7 +20,7 @@ from .alignment import align, displacement
 from .backends import backend_named
 from .history import History
 from .inspection import Shown
-from .intruder import blocked, some_views, without_intruder
+from .intruder import blocked, without_intruder
 from .keyframe import make_keyframe, wants_keyframe
 from .mapping import NOTHING, Cloud, keyframe_cloud, together
 from .motion import Motion, turn_rate
@@ -38,7 +38,6 @@ Index = NDArray[np.int64]
 
 FEWEST_CANDIDATES = 16  # that make a keyframe
 PATIENCE = 3  # lost frames in a row before a new segment starts
-BLOCKED_S = 1.0  # s that it waits for something in front of the view to go
 KEYFRAME_GAP = 1.0 / 30.0  # s, gap of the motion prior that a new keyframe's points are chosen with
 
 
@@ -86,7 +85,8 @@ class IdRgbdo(Shown):
         reference.entropies.append(entropies)
         reference.affine = tracked.affine
         motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame, 0.0 if self.lost_in_a_row else dt)
-        self.lost_in_a_row, motion.hidden = 0, verdict.hidden
+        self.lost_in_a_row = 0
+        motion.judge(verdict, reference.keyframe.intruded)
         self.history.add_frame(frame.timestamp, tracked.T_frame_kf)
         self.last = (reference.keyframe, tracked)
         result = measured(
@@ -158,14 +158,11 @@ class IdRgbdo(Shown):
 
     def _keyframe(self, frame: Frame, T_frame_world: Array | None = None) -> Keyframe | None:
         """A keyframe of a frame at a pose, None where it has too few candidates."""
-        keyframe = make_keyframe(frame, self.config, self.rng, self.backend)
-        if len(keyframe.points.uv) >= FEWEST_CANDIDATES:
-            return (
-                keyframe
-                if T_frame_world is None
-                else without_intruder(keyframe, some_views(self.window_keyframes(), T_frame_world))
-            )
-        return None
+        made = make_keyframe(frame, self.config, self.rng, self.backend)
+        keyframe: Keyframe | None = made
+        if T_frame_world is not None and self.motion.explained:
+            keyframe = without_intruder(made, self.window_keyframes(), T_frame_world)
+        return keyframe if keyframe and len(keyframe.points.uv) >= FEWEST_CANDIDATES else None
 
     def _adopt(self, keyframe: Keyframe, T_kf_previous: Array | None = None) -> None:
         """Choose a keyframe's points, add it to the window and to history, and track against it from now on.
@@ -227,8 +224,11 @@ class IdRgbdo(Shown):
         history = self.history
         found = find_in_window(pair, self.motion.predicted(self.motion.gap(frame.timestamp)), window)
         found = found or find_in_places(pair, history.places.likely(pair.frame, self.lost_in_a_row))
-        T_cam_world = found.tracked.T_frame_kf @ history.keyframe_poses[found.number] if found else np.eye(4)
-        if found is None or (keyframe := self._keyframe(frame, T_cam_world)) is None:
+        if found is None:
+            return None
+        self.motion.judge(found.verdict, False)
+        T_cam_world = found.tracked.T_frame_kf @ history.keyframe_poses[found.number]
+        if (keyframe := self._keyframe(frame, T_cam_world)) is None:
             return None
         if found.number not in window:
             self._leave_window()
@@ -263,8 +263,7 @@ class IdRgbdo(Shown):
         """Stay where we were and say so; after too many such frames begin anew, with this one."""
         if self.lost_in_a_row < PATIENCE:
             return self._hold(frame, reason)
-        entered = self.motion.hidden > LIMITS.in_front and frame.timestamp - self.motion.time < BLOCKED_S
-        if entered and blocked(frame, some_views(self.window_keyframes(), self.motion.T_cam_world)):
+        if self.motion.waits(frame.timestamp) and blocked(frame, self.window_keyframes(), self.motion.T_cam_world):
             return self._hold(frame, "something blocks the view")
         return self._start_segment(frame, reason)
 

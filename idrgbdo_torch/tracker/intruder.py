@@ -16,6 +16,7 @@ from ..measurement import IN_FRONT, Points
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+Window = dict[int, tuple[Keyframe, Array]]  # keyframes by number, with T_kf_world (4, 4)
 
 AROUND = ((0, 0), (-4, 0), (4, 0), (0, -4), (0, 4))  # px, where the depth about a point must all say the same
 MOST_AROUND = 3  # of these, of which none may say the contrary
@@ -25,13 +26,11 @@ LEFT = 0.2  # share of its points that must be left
 STEP = 4  # px between the pixels that are looked at to outline an intruder
 MARGIN = 12  # px by which its outline is widened
 FAR_M = 1e3  # m, farther than anything
-BLOCKED = 0.4  # share of the image that an intruder fills, from which on nothing new begins on it
+BLOCKED = 0.15  # share of the image that an intruder fills, from which on nothing new begins on it
 
 
-def some_views(window: dict[int, tuple[Keyframe, Array]], T_frame_world: Array) -> list[tuple[Array, Frame]]:
-    """The newest, a middle and the oldest keyframe of a window (T_kf_world (4, 4) with each), as a frame is held
-    against them: with T_kf_frame (4, 4).
-    """
+def some_views(window: Window, T_frame_world: Array) -> list[tuple[Array, Frame]]:
+    """The newest, a middle and the oldest keyframe of a window, with T_kf_frame (4, 4) of a frame."""
     known, T_world_frame = list(window.values()), inverse(T_frame_world)
     some = [known[k] for k in sorted({len(known) - 1, len(known) // 2, 0})]
     return [(T @ T_world_frame, keyframe.frame) for keyframe, T in some]
@@ -75,16 +74,17 @@ def intruding(uv: Array, inv_depth: Array, T_before_kf: Array, before: Frame) ->
     return (foreign >= MOST_AROUND) & ~contrary, same
 
 
-def without_intruder(keyframe: Keyframe, others: Sequence[tuple[Array, Frame]]) -> Keyframe | None:
-    """A new keyframe without the points that stand where others, each at T_other_kf (4, 4), saw nothing.
+def without_intruder(keyframe: Keyframe, window: Window, T_kf_world: Array) -> Keyframe | None:
+    """A new keyframe without the points that stand where keyframes of a window saw nothing.
 
     They belong to something that moved there, which must not be taken for the world. Its depth becomes negative, so
     that no one measures it, and the next keyframe knows it again. The same keyframe where such points are too few to
     be more than borders and noise, None where they leave too little of it.
     """
     points, frame = keyframe.points, keyframe.frame
+    others = some_views(window, T_kf_world)
     foreign, _ = by_any(points.uv, points.inv_depth, others)
-    if foreign.sum() <= INTRUDERS * len(foreign):
+    if foreign.sum() <= INTRUDERS * len(foreign):  # nor where there are no points at all
         return keyframe
     outline = outlined(frame, others)
     about = cv2.dilate(outline, np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)) > 0
@@ -94,7 +94,7 @@ def without_intruder(keyframe: Keyframe, others: Sequence[tuple[Array, Frame]]) 
         return None
     stays = only(keyframe, own)
     depth = np.where(outline > 0, -frame.depth, np.where(about, np.float32(0.0), frame.depth))
-    return replace(stays, frame=replace(frame, depth=depth))
+    return replace(stays, frame=replace(frame, depth=depth), intruded=True)
 
 
 def by_any(uv: Array, inv_depth: Array, others: Sequence[tuple[Array, Frame]]) -> tuple[Mask, Mask]:
@@ -107,9 +107,9 @@ def by_any(uv: Array, inv_depth: Array, others: Sequence[tuple[Array, Frame]]) -
     return foreign, seen & ~foreign
 
 
-def blocked(frame: Frame, others: Sequence[tuple[Array, Frame]]) -> bool:
-    """Whether something that others, each at T_other_frame (4, 4), did not see there fills much of a frame's view."""
-    return bool(outlined(frame, others).mean() > BLOCKED)
+def blocked(frame: Frame, window: Window, T_frame_world: Array) -> bool:
+    """Whether something that a window's keyframes did not see there fills much of a frame's view."""
+    return bool(outlined(frame, some_views(window, T_frame_world)).mean() > BLOCKED)
 
 
 def outlined(frame: Frame, others: Sequence[tuple[Array, Frame]]) -> NDArray[np.uint8]:

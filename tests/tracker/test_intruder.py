@@ -61,9 +61,10 @@ def test_a_keyframe_leaves_out_what_stands_where_nothing_was(desk: Film) -> None
     before = odometry.reference.keyframe
     frame = odometry.motion.frame
     assert frame is not None
-    views = [(desk.T(0, 1).numpy(), before.frame)]
+    window, T_frame_world = {0: (before, np.eye(4))}, desk.T(1, 0).numpy()
     plain = odometry._keyframe(frame)
-    assert plain is not None and without_intruder(plain, views) is plain and not blocked(frame, views)
+    assert plain is not None and without_intruder(plain, window, T_frame_world) is plain
+    assert not blocked(frame, window, T_frame_world)
     what = thing(160, 240, 3)
     other = IdRgbdo()
     run(other, [desk.frames[0], what.before(desk.frames[1], 0, 0)])
@@ -71,8 +72,8 @@ def test_a_keyframe_leaves_out_what_stands_where_nothing_was(desk: Film) -> None
     assert spoilt is not None
     whole = odometry._keyframe(spoilt)
     assert whole is not None
-    kept = without_intruder(whole, views)
-    assert kept is not None and blocked(spoilt, views)
+    kept = without_intruder(whole, window, T_frame_world)
+    assert kept is not None and blocked(spoilt, window, T_frame_world)
     assert kept.points.uv[:, 0].min() > 155 and (whole.points.uv[:, 0] < 150).sum() > 100
     assert (kept.frame.depth[20:220, 10:150] < 0).mean() > 0.95  # which the next keyframe knows as the thing
     assert len(kept.coarse) == len(np.unique(kept.coarse)) and kept.coarse.max() < len(kept.points.uv)
