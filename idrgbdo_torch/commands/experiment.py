@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from ..experiments.lab import Lab, Report
     from ..experiments.task import Clip
 
-Name = Literal["fig1", "fig3", "fig4", "fig5", "fig6", "fig7", "fig8", "table1", "ablation", "coverage", "events", "all"]
+Name = Literal[
+    "fig1", "fig3", "fig4", "fig5", "fig6", "fig7", "fig8", "table1", "ablation", "coverage", "events", "all"
+]
 
 
 @dataclass(frozen=True)
