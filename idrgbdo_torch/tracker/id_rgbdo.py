@@ -29,7 +29,7 @@ from .reference import Reference
 from .results import held, joins, measured
 from .selection import select_points, view_margin
 from .tracking import Pair, Tracked, motion_information
-from .verification import LIMITS, Verdict, unsure
+from .verification import LIMITS, Verdict, obstructed, unsure
 from .warmup import warm_up
 from .window import Window
 
@@ -81,7 +81,7 @@ class IdRgbdo(Shown):
         dt = motion.gap(frame.timestamp)
         entropies = self.backend.freedom_entropies(tracked.information)
         after_loss = "the frame before was lost" if self.lost_in_a_row else ""
-        reason = verdict.doubt(LIMITS.weak) or unsure(entropies) or after_loss
+        reason = verdict.doubt(LIMITS.weak) or obstructed(verdict) or unsure(entropies) or after_loss
         reference.entropies.append(entropies)
         reference.affine = tracked.affine
         motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame, 0.0 if self.lost_in_a_row else dt)

@@ -32,6 +32,7 @@ class Limits:
     depth_above: float = 0.12  # how much larger the share must be in depth, which knows no shadows and highlights
     few_depths: int = 12  # fewer measured depths than this are too few to judge by
     in_front: float = 0.15  # share of hidden points under which nothing stands in front: borders and parallax
+    obstructed: float = 0.6  # share above which the rest is too little to be sure
     beside: int = 24  # points with depth beside something in front that a pose can be judged by
     points: int = 6  # a pose has six degrees of freedom
     gain: float = 1.0  # of the logarithm: with no contrast left, a black or white image would explain everything
@@ -65,6 +66,11 @@ class Verdict:
         if self.near < strict + LIMITS.depth_above:
             return f"only {self.near:.0%} of the points agree in depth"
         return ""
+
+
+def obstructed(verdict: Verdict) -> str:
+    """Why a pose is doubtful that few points speak for, since something hides the others; empty when it does not."""
+    return f"something hides {verdict.hidden:.0%} of the points" if verdict.hidden > LIMITS.obstructed else ""
 
 
 def unsure(entropies: Array) -> str:
