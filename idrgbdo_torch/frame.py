@@ -253,3 +253,4 @@ class Keyframe:
     radius: Image  # (N,) distance to the principal point over the largest one
     coarse: Image  # (M,) indices spread over the image, for the coarse levels
     witnesses: Image  # (W,) the same for verification, which takes more than a few
+    intruded: bool = False  # something moved in front of it, whose points are left out and whose depth is negative

@@ -32,6 +32,7 @@ SETTLED_COARSE = 1.0  # and the only one of a coarse level
 FLOOR = 1e-9  # added to the diagonal: a direction that nothing measures does not move
 NEAR_SIGMAS = 4.0  # standard deviations by which an agreeing depth may be off,
 NEAR_SHARE = 0.02  # and the share of the inverse depth that is allowed on top (scale, registration)
+IN_FRONT = 0.1  # share of its inverse depth by which something that hides a point is nearer
 LINK_FLOOR = 1e-6  # of the largest link, so that a keyframe which a view does not see leaves a matrix to invert
 UNKNOWN = 1e-9  # of a unit diagonal, likewise for a pose that nothing measures
 RATE = 30.0  # Hz, at which the motion prior and the speed of an image are given
@@ -144,6 +145,8 @@ class Agreement(NamedTuple):
     bright: int  # of those, with agreeing brightness
     with_depth: int
     near: int  # of those, with agreeing depth
+    hidden: int  # of those with depth, behind something nearer
+    hidden_bright: int  # of those, with agreeing brightness, by chance
 
 
 class Views(NamedTuple):

@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from time import perf_counter_ns
 from typing import Protocol
 
@@ -65,6 +66,16 @@ def lost_because(records: Iterable[Record]) -> dict[str, int]:
             kinds.setdefault(kind, Counter())[record.result.reason] += 1
     counts = {(next(iter(each)) if len(each) == 1 else kind): each.total() for kind, each in kinds.items()}
     return dict(sorted(counts.items(), key=lambda item: -item[1]))
+
+
+def found_again(records: Sequence[Record]) -> tuple[int, int]:
+    """How many times a track was lost and went on later, and after how many of them where it had been: in the same
+    segment, so that all of it is one map.
+    """
+    tracked = [k for k, record in enumerate(records) if record.result.status is not Status.LOST]
+    gaps = [(a, b) for a, b in pairwise(tracked) if b > a + 1]
+    found = sum(records[a].result.segment == records[b].result.segment for a, b in gaps)
+    return found, len(gaps)
 
 
 def poses_to_trajectory(timestamps: Sequence[float], poses: Sequence[Tensor]) -> Trajectory:

@@ -17,6 +17,7 @@ from idrgbdo_torch.odometry import (
     Record,
     Status,
     TrackResult,
+    found_again,
     lost_because,
     run,
 )
@@ -216,3 +217,14 @@ def test_reasons_for_losses_are_grouped_by_kind() -> None:
         "no depth at all": 1,
     }
     assert lost_because(missing[:1]) == {"colour: cannot read '/a/rgb/000000.png': no such file": 1}
+
+
+def test_a_track_that_goes_on_in_the_same_segment_was_found_again() -> None:
+    def records(*said: tuple[Status, int]) -> list[Record]:
+        pose = torch.eye(4, dtype=torch.float64)
+        return [Record(float(n), TrackResult(pose, status, segment=s), 0.0, 0.0) for n, (status, s) in enumerate(said)]
+
+    ok, weak, lost = Status.OK, Status.WEAK, Status.LOST
+    assert found_again(records((ok, 0), (ok, 0))) == (0, 0)
+    assert found_again(records((lost, 0), (ok, 0), (lost, 0), (weak, 0), (lost, 0), (lost, 1), (ok, 1))) == (1, 2)
+    assert found_again(records((ok, 0), (lost, 0))) == (0, 0)

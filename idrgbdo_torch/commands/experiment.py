@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ..experiments.task import Clip
 
 Name = Literal[
-    "fig1", "fig3", "fig4", "fig5", "fig6", "fig7", "fig8", "table1", "ablation", "coverage", "faults", "all"
+    "fig1", "fig3", "fig4", "fig5", "fig6", "fig7", "fig8", "table1", "ablation", "coverage", "faults", "events", "all"
 ]
 
 

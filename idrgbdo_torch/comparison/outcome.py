@@ -36,6 +36,8 @@ class Outcome:
     tracked: int = 0
     weak: int = 0  # of the tracked ones
     lost: int = 0
+    breaks: int = 0  # times that the track was lost and went on later,
+    found_again: int = 0  # and of them, where it had been
     reasons: Mapping[str, int] = field(default_factory=dict)  # why frames were lost, and how many
     keyframes: int = 0
     ate_rmse_m: float | None = None

@@ -75,6 +75,16 @@ class Row:
         return sum(outcome.lost for outcome in self.outcomes)
 
     @property
+    def breaks(self) -> int:
+        """Times that a track was lost and went on later, of all runs together."""
+        return sum(outcome.breaks for outcome in self.outcomes)
+
+    @property
+    def found_again(self) -> int:
+        """Of these, how many went on where they had been."""
+        return sum(outcome.found_again for outcome in self.outcomes)
+
+    @property
     def weak(self) -> int:
         """Of all runs together."""
         return sum(outcome.weak for outcome in self.outcomes)

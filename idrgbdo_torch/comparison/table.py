@@ -56,6 +56,7 @@ COLUMNS = (
     Column(
         "tracked", lambda row: f"{row.frames - row.lost}/{row.frames}" + (f" ({row.weak} weak)" if row.weak else "")
     ),
+    Column("found again", lambda row: f"{row.found_again} of {row.breaks}" if row.breaks else ""),
     Column("ms median", _number("track_ms", 1)),
     Column("ms 95 %", _number("track_ms_p95", 1)),
     Column("speed", _number("speedup", 1, " x")),
@@ -66,7 +67,8 @@ AGREEMENT = ": RPE between methods, mm/s (needs no reference)"
 LEGEND = (
     "ATE: RMSE after rigid alignment without scale. RPE: RMSE of the drift over 1 s. K2FE: mean error of a frame "
     "against its keyframe, where a method has keyframes. made of: the poses behind ATE and pairs behind RPE, "
-    "where the reference covers only a part. ms: in track() alone, decoding excluded. speed: how many "
+    "where the reference covers only a part. found again: of the times that a track was lost and went on, those where "
+    "it went on in the same map. ms: in track() alone, decoding excluded. speed: how many "
     "times as fast as the fastest baseline. MB: peak memory of a process of its own, libraries included. "
     "Where a method is random: mean ± standard deviation (worst) over seeds."
 )
@@ -188,7 +190,18 @@ def _flat(row: Row) -> dict[str, Any]:
         spread = row.spread(name)
         for part in ("mean", "std", "worst"):
             flat[f"{name}_{part}"] = None if spread is None else getattr(spread, part)
-    for name in ("frames", "lost", "weak", "track_ms", "track_ms_p95", "speedup", "peak_memory_mb", "error"):
+    for name in (
+        "frames",
+        "lost",
+        "weak",
+        "breaks",
+        "found_again",
+        "track_ms",
+        "track_ms_p95",
+        "speedup",
+        "peak_memory_mb",
+        "error",
+    ):
         flat[name] = getattr(row, name)
     flat["matched_poses"], flat["rpe_pairs"] = row.matched_poses, row.rpe_pairs
     flat["runs"] = len(row.outcomes)

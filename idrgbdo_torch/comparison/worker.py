@@ -13,7 +13,7 @@ from typing import Any
 from ..datasets import RgbdSequence, open_sequence
 from ..errors import IdRgbdoError
 from ..evaluation import evaluate
-from ..odometry import Record, run
+from ..odometry import Record, found_again, run
 from ..runs.folder import RunFolder, measurements, summarise
 from ..runs.machine import peak_memory_mb
 from .methods import Method
@@ -105,6 +105,7 @@ def _work(connection: Connection, method: Method, seed: int, source: Source, fol
                 evaluation = None  # the reference covers too little of the sequence
         run_folder.finish(done, odometry, evaluation)
     summary = summarise(done, evaluation)
+    again, breaks = found_again(done.records)
     errors, timing = summary.get("evaluation", {}), summary["timing_ms"]
     connection.send(
         {
@@ -112,6 +113,8 @@ def _work(connection: Connection, method: Method, seed: int, source: Source, fol
             "tracked": summary["tracked"],
             "weak": summary["weak"],
             "lost": summary["lost"],
+            "breaks": breaks,
+            "found_again": again,
             "reasons": summary["lost_because"],
             "keyframes": summary["keyframes"],
             "ate_rmse_m": errors.get("ate_rmse_m"),

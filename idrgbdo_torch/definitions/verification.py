@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from ..measurement import NEAR_SHARE, NEAR_SIGMAS, Agreement, Noise, Points, State, View
+from ..measurement import IN_FRONT, NEAR_SHARE, NEAR_SIGMAS, Agreement, Noise, Points, State, View
 from .camera import Pinhole, backproject, project
 from .convert import Array, chosen, inverse_of_depth, pinhole
 from .image import sample_surface, sample_with_gradient
@@ -31,7 +31,9 @@ def verify(view: View, level: int, points: Points, index: Array, state: State, n
     with_depth = seen & on_surface
     tolerance = NEAR_SIGMAS * (noise.var_depth + some.variance[0]).sqrt() + NEAR_SHARE * rho
     near = with_depth & ((measured - rho).abs() < tolerance)
-    return Agreement(int(seen.sum()), int(bright.sum()), int(with_depth.sum()), int(near.sum()))
+    hidden = with_depth & ~near & (measured > (1 + IN_FRONT) * rho)
+    counts = (seen, bright, with_depth, near, hidden, hidden & bright)
+    return Agreement(*(int(each.sum()) for each in counts))
 
 
 def displacement(cam: Array, points: Points, index: Array, T_a: Array, T_b: Array) -> float:

@@ -112,7 +112,7 @@ def measured(result: dict[str, Any], task: Task) -> Measured:
 
 def measure(task: Task) -> dict[str, Any]:
     """Run the task; the fields of a Measured, and when and where they were measured."""
-    sequence = _open(task.clip)
+    sequence = open_clip(task.clip)
     odometry = make(task)
     done = run(odometry, _frames(task.clip))
     evaluation, refined = _evaluate(done, odometry, sequence, task.method == OURS)
@@ -204,16 +204,16 @@ def _changes(config: Any, default: Any, where: str = "") -> list[tuple[str, Any]
 
 
 @lru_cache(maxsize=2)
-def _open(clip: Clip) -> RgbdSequence:
+def open_clip(clip: Clip) -> RgbdSequence:
     return open_sequence(clip.folder, start=clip.start, max_frames=clip.frames)
 
 
 def _frames(clip: Clip) -> Sequence[RgbdFrame | BrokenFrame] | RgbdSequence:
     """The clip's frames: decoded once for all tasks in a row that want them, where they fit into memory."""
-    sequence = _open(replace(clip, start=0, frames=None))
+    sequence = open_clip(replace(clip, start=0, frames=None))
     camera = sequence.camera
     if len(sequence) * camera.width * camera.height * FRAME_BYTES > _kept_bytes():
-        return _open(clip)
+        return open_clip(clip)
     end = len(sequence) if clip.frames is None else clip.start + clip.frames
     return _decoded(clip.folder)[clip.start : end]
 

@@ -6,7 +6,7 @@ from math import exp, sqrt
 
 import numpy as np
 
-from ..measurement import NEAR_SHARE, NEAR_SIGMAS, Agreement
+from ..measurement import IN_FRONT, NEAR_SHARE, NEAR_SIGMAS, Agreement
 from .compiled import kernel
 from .image import sample, sample_inverse_depth
 from .photometric import moved
@@ -25,6 +25,8 @@ def verify(view, level, points, index, state, noise, limit):
     bright = 0
     with_depth = 0
     near = 0
+    hidden = 0
+    hidden_bright = 0
     for n in range(index.shape[0]):
         p = index[n]
         d = points.inv_depth[p]
@@ -39,7 +41,8 @@ def verify(view, level, points, index, state, noise, limit):
         if not ok:
             continue
         seen += 1
-        if abs(value - gain * patch[p, 0] - affine[1]) < limit:
+        agrees = abs(value - gain * patch[p, 0] - affine[1]) < limit
+        if agrees:
             bright += 1
         ok, measured, _gu, _gv = sample_inverse_depth(depth, (u + 0.5) * up - 0.5, (v + 0.5) * up - 0.5, 0.1)
         if ok:
@@ -47,7 +50,11 @@ def verify(view, level, points, index, state, noise, limit):
             rho = d / qz
             if abs(measured - rho) < NEAR_SIGMAS * sqrt(noise.var_depth + points.var_inv_depth[p]) + NEAR_SHARE * rho:
                 near += 1
-    return Agreement(seen, bright, with_depth, near)
+            elif measured > (1.0 + IN_FRONT) * rho:
+                hidden += 1
+                if agrees:
+                    hidden_bright += 1
+    return Agreement(seen, bright, with_depth, near, hidden, hidden_bright)
 
 
 @kernel

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..measurement import LEVELS, State, Subset
 from .features import start_from_features
+from .intruder import hidden
 from .keyframe import all_patches
 from .tracking import Pair, Tracked, track_frame
 from .verification import LIMITS, Verdict, verify
@@ -23,6 +24,7 @@ QUICK_STRIDE = 2  # of the coarse points, every second one
 QUICK_PIXELS = 1  # of a coarse point's patch, likewise
 NEAR_LEVELS = 3  # for a start within some pixels: views far apart are alike in detail, but not in the large
 EXPECTED_PX = 2.0  # mean distance in the image between the predicted and the measured pose of such a frame
+FEWEST_BESIDE = 24  # points beside something in front that are worth a try
 NOTHING = (
     Tracked(np.eye(4), np.zeros(2), np.zeros((6, 6)), 0, 0, np.zeros(0, np.int64), np.zeros(0)),
     Verdict(0.0, 0.0, 0.0),
@@ -49,6 +51,10 @@ def align(
             return tracked, verdict, surprise_px
     tracked = track_frame(pair, start, index, Subset(coarse, pixels), information, levels)
     verdict = verify(pair, tracked)
+    if verdict.hidden > LIMITS.in_front:
+        again, second = align_beside(pair, start, index, information, levels)
+        if second.score > verdict.score:
+            tracked, verdict = again, second
     if verdict.doubt(LIMITS.weak):
         again, second = recover(pair, [start.T, resting], start.affine, index)
         if second.score > verdict.score:
@@ -58,6 +64,17 @@ def align(
         if second.score > verdict.score or (second.supported and not second.doubt(LIMITS.lost)):
             tracked, verdict = again, second
     return tracked, verdict, displacement(pair, start.T, tracked.T_frame_kf)
+
+
+def align_beside(pair: Pair, start: State, index: Index, information: Array, levels: int) -> tuple[Tracked, Verdict]:
+    """Align a frame with the points alone that nothing hides at the start, as many of them as there are."""
+    behind = hidden(pair.keyframe.points, start.T, pair.frame)
+    coarse = pair.keyframe.coarse[~behind[pair.keyframe.coarse]]
+    fine = np.union1d(index[~behind[index]], coarse)
+    if len(coarse) < FEWEST_BESIDE:
+        return NOTHING
+    tracked = track_frame(pair, start, fine, Subset(coarse, pair.keyframe.points.patch.shape[2]), information, levels)
+    return tracked, verify(pair, tracked)
 
 
 def displacement(pair: Pair, T_a: Array, T_b: Array) -> float:

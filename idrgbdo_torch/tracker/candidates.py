@@ -23,6 +23,10 @@ PLANE_RADIUS = 3  # px, neighbourhood that a point's inverse depth is fitted to
 BORDER = 4  # px, room for the patch and its gradients
 EVERYWHERE = 8  # px, side of a grid cell in mode "inf": as good as no grid, without patches on top of each other
 LEAST = 3  # px, the smallest
+SPECKLED = 0.02  # share of pixels that are holes of one pixel, from which on such holes are closed
+LOOK = 4  # every so many rows are looked at for them
+AROUND = 4  # of the eight neighbours that must have depth, and agree,
+STEP_SHARE = 0.05  # by this share of it
 ROWS = 15  # of such cells at least, which small images get by smaller ones
 
 
@@ -30,13 +34,14 @@ def extract_candidates(frame: Frame, config: Config, rng: Generator, backend: Ba
     """uv (N, 2), inverse depth (N,) of the pixels worth choosing from; rand takes any pixel with depth."""
     mode = config.selection.mode
     sigma = inverse_depth_sigma(config.noise.focal_baseline, config.noise.sigma_disparity)
-    height, width = frame.depth.shape
+    depth = without_speckles(frame.depth)
+    height, width = depth.shape
     if mode == "rand":
         tries = 2 * config.candidates
         u = rng.integers(BORDER, width - BORDER, tries)
         v = rng.integers(BORDER, height - BORDER, tries)
         uv: Array = rng.permutation(np.unique(np.column_stack([u, v]), axis=0)).astype(np.float64)
-        valid, inv_depth, _ = backend.planes_at(frame.depth, uv, PLANE_RADIUS, sigma)
+        valid, inv_depth, _ = backend.planes_at(depth, uv, PLANE_RADIUS, sigma)
         keep = np.flatnonzero(valid)[: config.candidates]
         return uv[keep], inv_depth[keep]
     gradient2 = backend.gradient_squared(frame.images[0])
@@ -47,9 +52,28 @@ def extract_candidates(frame: Frame, config: Config, rng: Generator, backend: Ba
     everywhere = max(LEAST, min(EVERYWHERE, min(width, height) // ROWS))
     grid = max(everywhere, round(float(np.sqrt(width * height / config.candidates))))
     cell = everywhere if mode == "inf" else grid
-    scores = backend.candidate_scores(gradient2, thresholds, BLOCK, edges, frame.depth)
-    uv, inv_depth, _ = backend.grid_candidates(scores, frame.depth, cell, BORDER, PLANE_RADIUS, sigma)
+    scores = backend.candidate_scores(gradient2, thresholds, BLOCK, edges, depth)
+    uv, inv_depth, _ = backend.grid_candidates(scores, depth, cell, BORDER, PLANE_RADIUS, sigma)
     return uv, inv_depth
+
+
+def without_speckles(depth: Array) -> Array:
+    """A depth image (H, W) whose holes of one pixel are closed where they are so many that they leave no whole
+    neighbourhood to fit a plane to, as with stereo sensors; any other is given back as it is.
+    """
+    hole = depth <= 0.0
+    middle = slice(1, -1)
+    rows = slice(1, -1, LOOK)
+    sides = hole[rows, :-2] | hole[rows, 2:]
+    sides |= hole[:-2:LOOK, middle] | hole[2::LOOK, middle]
+    if not (hole[rows, middle] & ~sides).mean() > SPECKLED:
+        return depth
+    count = cv2.boxFilter((~hole).astype(np.float32), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    total = cv2.boxFilter(depth, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    nearest = cv2.erode(np.where(hole, np.float32(np.inf), depth), np.ones((3, 3), np.uint8))
+    flat = cv2.dilate(depth, np.ones((3, 3), np.uint8)) - nearest < STEP_SHARE * nearest
+    closed = hole & (count >= AROUND) & flat
+    return np.where(closed, total / np.maximum(count, 1.0), depth)
 
 
 def spread_out(uv: Array, count: int, width: int, height: int, backend: Backend) -> Index:

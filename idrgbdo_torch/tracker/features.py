@@ -24,9 +24,12 @@ RATIO = 0.8  # of the best to the second-best match (Lowe)
 FEWEST = 12  # matches with depth that are worth a try, and that must agree with a pose
 SUPPORT = 20  # matches that speak for a pose whose brightness agrees in half of the points only
 REPROJECTION_PX = 3.0  # of a match that agrees, on that level
-TRIES = 1000  # samples of RANSAC at most
+TRIPLES = 3000  # of matches that are looked at,
+POSES = 100  # and of which the first so many that could be one triangle are tried
+SAME_SHARE, SAME_M = 0.03, 0.01  # by which its sides may differ: share, and m at a depth of 1 m, with its square
+APART = 0.1  # of the depth: shortest side
+NEAREST_M = 1e-3  # m, in front of the camera
 MOST_TURNED = np.pi / 3  # rad, between two views that overlap; a mirrored or rolled image fits at more
-SURE = 0.999  # after which it stops
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,15 @@ class Features:
 
 
 def features(frame: Frame, level: int) -> Features:
-    """The features of a frame on a level, always the same ones."""
+    """The features of a frame on a level, always the same ones; the frame keeps them, as it may be looked at again."""
+    kept: dict[int, Features] = vars(frame).setdefault("_features", {})  # beside its fields, as cached_property does
+    if level not in kept:
+        kept[level] = detected(frame, level)
+    return kept[level]
+
+
+def detected(frame: Frame, level: int) -> Features:
+    """Find them."""
     shown = frame.images[level] if frame.sharp is None or level != FULL else frame.sharp
     image = np.nan_to_num(shown).clip(0.0, 255.0).astype(np.uint8)
     detector = cv2.ORB.create(nfeatures=COUNT[level], fastThreshold=THRESHOLD)
@@ -58,19 +69,18 @@ def features(frame: Frame, level: int) -> Features:
 
 def match(host: Features, target: Features) -> NDArray[np.int64]:
     """(M, 2) numbers of a host's feature with depth and the target's that is clearly its own match, both ways."""
-    if len(host.uv) < 2 or len(target.uv) < 2:
+    deep = np.flatnonzero(host.P[:, 2] > 0.0)
+    if len(deep) < 2 or len(target.uv) < 2:
         return np.zeros((0, 2), np.int64)
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
-    there = matcher.knnMatch(host.descriptor, target.descriptor, k=2)
-    back = {m.queryIdx: m.trainIdx for m in matcher.match(target.descriptor, host.descriptor)}
-    pairs = [
-        (best.queryIdx, best.trainIdx)
-        for best, second in (found for found in there if len(found) == 2)
-        if best.distance < RATIO * second.distance
-        and back.get(best.trainIdx) == best.queryIdx
-        and host.P[best.queryIdx, 2] > 0.0
-    ]
-    return np.array(pairs, np.int64).reshape(-1, 2)
+    there = matcher.knnMatch(host.descriptor[deep], target.descriptor, k=2)
+    clear = [(best.queryIdx, best.trainIdx) for best, second in there if best.distance < RATIO * second.distance]
+    pairs = np.array(clear, np.int64).reshape(-1, 2)
+    if not clear:
+        return pairs
+    back = [found.trainIdx for found in matcher.match(target.descriptor[pairs[:, 1]], host.descriptor[deep])]
+    mutual = pairs[:, 0] == np.array(back, np.int64)
+    return np.column_stack([deep[pairs[mutual, 0]], pairs[mutual, 1]])
 
 
 @dataclass(frozen=True)
@@ -84,42 +94,79 @@ class Perspective:
 
     def supports(self, T_target_host: Array) -> bool:
         """Whether enough of the matches, and most of them, agree with a refined pose too."""
-        P = self.P @ T_target_host[:3, :3].T + T_target_host[:3, 3]
-        ahead = P[:, 2] > 0.0
-        fx, fy, cx, cy = self.camera
-        z = np.where(ahead, P[:, 2], 1.0)
-        at = np.column_stack([fx * P[:, 0] / z + cx, fy * P[:, 1] / z + cy])
-        agree = int((ahead & (np.linalg.norm(at - self.uv, axis=1) < REPROJECTION_PX)).sum())
-        return agree >= SUPPORT and 2 * agree >= len(P)
+        agree = int(agreeing(T_target_host[None], self.P, self.uv, self.camera).sum())
+        return agree >= SUPPORT and 2 * agree >= len(self.P)
+
+
+def agreeing(T: Array, P: Array, uv: Array, camera: Array) -> NDArray[np.bool_]:
+    """(N, M): which of M points (M, 3) m fall on their pixels (M, 2) at each of N poses (N, 4, 4)."""
+    fx, fy, cx, cy = camera
+    x, y, z = np.moveaxis(P @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3], -1, 0)
+    ahead = z > NEAREST_M
+    z = np.where(ahead, z, 1.0)
+    off2 = (fx * x / z + cx - uv[:, 0]) ** 2 + (fy * y / z + cy - uv[:, 1]) ** 2
+    out: NDArray[np.bool_] = ahead & (off2 < REPROJECTION_PX**2)
+    return out
 
 
 def pose_from_features(host: Features, target: Features, camera: Array) -> Perspective | None:
-    """The pose by perspective from the host's points (RANSAC), None where too few agree.
+    """The pose by perspective from the host's points, None where too few agree.
 
-    camera: (4,) fx fy cx cy of the target on the level of its features.
+    It starts from three matches whose triangle is as large in both views, since both know depth: the one that most
+    matches agree with. camera: (4,) fx fy cx cy of the target on the level of its features.
     """
     pairs = match(host, target)
     if len(pairs) < FEWEST:
         return None
+    P, Q = host.P[pairs[:, 0]].astype(np.float64), target.P[pairs[:, 1]].astype(np.float64)
+    uv = target.uv[pairs[:, 1]].astype(np.float64)
+    T = poses_of_triangles(P, Q)
+    agree = agreeing(T, P, uv, camera)
+    best = int(np.argmax(agree.sum(axis=1))) if len(T) else -1
+    if best < 0 or agree[best].sum() < FEWEST:
+        return None
+    refined = refined_perspective(T[best], P[agree[best]], uv[agree[best]], camera)
+    inliers = agreeing(refined[None], P, uv, camera)[0]
+    turned = float(np.arccos(np.clip((np.trace(refined[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
+    if inliers.sum() < FEWEST or turned > MOST_TURNED:
+        return None
+    return Perspective(refined, P[inliers], uv[inliers], camera)
+
+
+def poses_of_triangles(P: Array, Q: Array) -> Array:
+    """(N, 4, 4) T_target_host of triples of matched points (M, 3) m that are as far apart in host and target."""
+    deep = np.flatnonzero(Q[:, 2] > 0.0)
+    if len(deep) < 3:
+        return np.zeros((0, 4, 4))
+    triples = deep[np.random.default_rng(0).integers(0, len(deep), (TRIPLES, 3))]
+    A, B = P[triples], Q[triples]  # (N, 3, 3) a point a row
+    sides, others = (np.linalg.norm(X - X[:, [1, 2, 0]], axis=2) for X in (A, B))
+    far = np.maximum(A[:, :, 2], B[:, :, 2]).max(axis=1, keepdims=True)
+    alike = np.abs(sides - others) < SAME_SHARE * sides + SAME_M * far**2
+    rigid = np.flatnonzero((alike & (sides > APART * far)).all(axis=1))[:POSES]
+    A, B = A[rigid], B[rigid]
+    middle_a, middle_b = A.mean(axis=1, keepdims=True), B.mean(axis=1, keepdims=True)
+    U, _, Vt = np.linalg.svd((B - middle_b).transpose(0, 2, 1) @ (A - middle_a))  # Kabsch
+    U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
+    T = np.tile(np.eye(4), (len(rigid), 1, 1))
+    T[:, :3, :3] = U @ Vt
+    T[:, :3, 3] = (middle_b - middle_a @ T[:, :3, :3].transpose(0, 2, 1))[:, 0]
+    return T
+
+
+def refined_perspective(T: Array, P: Array, uv: Array, camera: Array) -> Array:
+    """The pose (4, 4) that puts points (M, 3) nearest to their pixels (M, 2), from a close one; else that one."""
     fx, fy, cx, cy = camera
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    P, uv = host.P[pairs[:, 0]].astype(np.float64), target.uv[pairs[:, 1]].astype(np.float64)
+    rvec, t = cv2.Rodrigues(T[:3, :3])[0], T[:3, 3].copy()
     try:
-        found, rvec, t, inliers = cv2.solvePnPRansac(
-            P, uv, K, None, iterationsCount=TRIES, reprojectionError=REPROJECTION_PX, confidence=SURE,
-            flags=cv2.SOLVEPNP_EPNP,
-        )  # fmt: skip
-    except cv2.error:  # degenerate samples, all points in a line
-        return None
-    if not found or inliers is None or len(inliers) < FEWEST:
-        return None
-    T = np.eye(4)
-    T[:3, :3] = cv2.Rodrigues(rvec)[0]
-    T[:3, 3] = t[:, 0]
-    turned = float(np.linalg.norm(rvec))
-    if not np.isfinite(T).all() or turned > MOST_TURNED:
-        return None
-    return Perspective(T, P[inliers[:, 0]], uv[inliers[:, 0]], camera)
+        found, rvec, t = cv2.solvePnP(P, uv, K, None, rvec, t, True, cv2.SOLVEPNP_ITERATIVE)
+    except cv2.error:  # degenerate, all points in a line
+        return T
+    out = np.eye(4)
+    out[:3, :3] = cv2.Rodrigues(rvec)[0]
+    out[:3, 3] = np.ravel(t)
+    return out if found and np.isfinite(out).all() else T
 
 
 def start_from_features(frame: Frame, keyframe: Frame) -> Perspective | None:

@@ -15,21 +15,21 @@ from ..frame import Frame, Keyframe, RgbdFrame, check_next
 from ..kernels.se3 import inverse
 from ..measurement import Noise, State, kernel_noise, with_blur
 from ..odometry import Status, TrackResult
-from ..trajectory import Trajectory
 from .alignment import align, displacement
 from .backends import backend_named
 from .history import History
-from .inspection import seen_candidates, tracked_points
+from .inspection import Shown
 from .instant import steady, takes_time
+from .intruder import blocked, without_intruder
 from .keyframe import make_keyframe, wants_keyframe
-from .mapping import NOTHING, Cloud, keyframe_cloud, together
+from .mapping import NOTHING, keyframe_cloud
 from .motion import Motion, turn_rate
 from .recovery import find_in_places, find_in_window
 from .reference import Reference
 from .results import held, joins, measured
 from .selection import select_points, view_margin
 from .tracking import Pair, Tracked, motion_information
-from .verification import LIMITS, Verdict, unsure
+from .verification import LIMITS, Verdict, obstructed, unsure
 from .warmup import warm_up
 from .window import Window
 
@@ -41,7 +41,7 @@ PATIENCE = 3  # lost frames in a row before a new segment starts
 KEYFRAME_GAP = 1.0 / 30.0  # s, gap of the motion prior that a new keyframe's points are chosen with
 
 
-class IdRgbdo:
+class IdRgbdo(Shown):
     """Information-driven direct RGB-D odometry (an Odometry)."""
 
     name = "id-rgbdo"
@@ -80,17 +80,17 @@ class IdRgbdo:
         if verdict.doubt(LIMITS.weak) and self._late_keyframe(frame, verdict):
             tracked, verdict = self._align(frame, self.reference)
         reference, motion = self.reference, self.motion
-        if reason := verdict.doubt(LIMITS.lost):
-            anew_or_stay = self._start_segment if self.lost_in_a_row >= PATIENCE else self._hold
-            return self._found_again(frame) or anew_or_stay(frame, reason)
+        if reason := verdict.doubt(LIMITS.sure if self.lost_in_a_row else LIMITS.lost):
+            return self._found_again(frame) or self._lost(frame, reason)
         dt = motion.gap(frame.timestamp)
         entropies = self.backend.freedom_entropies(tracked.information)
         after_loss = "the frame before was lost" if self.lost_in_a_row else ""
-        reason = verdict.doubt(LIMITS.weak) or unsure(entropies) or after_loss
+        reason = verdict.doubt(LIMITS.weak) or obstructed(verdict) or unsure(entropies) or after_loss
         reference.entropies.append(entropies)
         reference.affine = tracked.affine
         motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame, 0.0 if self.lost_in_a_row else dt)
         self.lost_in_a_row, self.last = 0, (reference.keyframe, tracked)
+        motion.judge(verdict, reference.keyframe.intruded)
         self.history.add_frame(frame.timestamp, tracked.T_frame_kf)
         result = measured(
             motion.T_cam_world, tracked, self.history.keyframe_times[-1], reason, self.history.segment, entropies
@@ -130,9 +130,14 @@ class IdRgbdo:
         return Pair(frame, reference.keyframe, noise, self.backend)
 
     def _late_keyframe(self, frame: Frame, verdict: Verdict) -> bool:
-        """Make a keyframe of the frame before, which shares most with this one, if that explains this one better."""
+        """Make a keyframe of the frame before, which shares most with this one, if that explains this one better.
+
+        Where this one is lost it becomes one in any case, as what is seen again is most likely the last that was seen.
+        """
         last, turn = self.motion.frame, self.motion.turn
-        if last is None or last.timestamp == self.history.keyframe_times[-1] or not (keyframe := self._keyframe(last)):
+        if last is None or last.timestamp == self.history.keyframe_times[-1]:
+            return False
+        if (keyframe := self._keyframe(last, self.motion.T_cam_world)) is None:
             return False
         prior = motion_information(self.config, KEYFRAME_GAP)
         index = self._select(keyframe, np.eye(4), self.config.selection.points, prior, self.noise)
@@ -140,7 +145,8 @@ class IdRgbdo:
         _, other = self._align(frame, Reference(keyframe, self.motion.T_cam_world, self.motion.turn, index))
         helps = other.score > verdict.score and not other.doubt(LIMITS.weak)
         self.motion.turn = self.motion.frame_turn if helps else turn
-        if helps:
+        if helps or verdict.doubt(LIMITS.lost):
+            self.motion.said = self.motion.T_cam_world  # a lost frame is held there, wherever the window moves it
             self._adopt(keyframe, self.history.T_cam_kf[-1])
         return helps
 
@@ -157,14 +163,17 @@ class IdRgbdo:
 
     def _new_keyframe(self, frame: Frame) -> bool:
         """Make a keyframe of the frame just tracked and refine the window; False where it has too few candidates."""
-        if (keyframe := self._keyframe(frame)) is not None:
+        if (keyframe := self._keyframe(frame, self.motion.T_cam_world)) is not None:
             self._adopt(keyframe, self.history.T_cam_kf[-1])
         return keyframe is not None
 
-    def _keyframe(self, frame: Frame) -> Keyframe | None:
-        """A keyframe of a frame, None where it has too few candidates."""
-        keyframe = make_keyframe(frame, self.config, self.rng, self.backend)
-        return keyframe if len(keyframe.points.uv) >= FEWEST_CANDIDATES else None
+    def _keyframe(self, frame: Frame, T_frame_world: Array | None = None) -> Keyframe | None:
+        """A keyframe of a frame at a pose, None where it has too few candidates."""
+        made = make_keyframe(frame, self.config, self.rng, self.backend)
+        keyframe: Keyframe | None = made
+        if T_frame_world is not None and self.motion.explained:
+            keyframe = without_intruder(made, self.window_keyframes(), T_frame_world)
+        return keyframe if keyframe and len(keyframe.points.uv) >= FEWEST_CANDIDATES else None
 
     def _adopt(self, keyframe: Keyframe, T_kf_previous: Array | None = None) -> None:
         """Choose a keyframe's points, add it to the window and to history, and track against it from now on.
@@ -203,6 +212,7 @@ class IdRgbdo:
         first = self.reference is None
         self._leave_window()
         self.motion.lose()
+        self.motion.T_cam_world = self.motion.shown
         self.history.segment = 0 if first else self.history.new_segment()
         self._adopt(keyframe)
         self.motion.time, self.lost_in_a_row = frame.timestamp, 0
@@ -221,14 +231,18 @@ class IdRgbdo:
         window = self.window_keyframes()
         _, (newest, _) = window.popitem()  # which has been tried
         pair = Pair(frame, newest, self.noise, self.backend)
-        found = find_in_window(pair, self.motion.predicted(self.motion.gap(frame.timestamp)), window)
-        found = found or find_in_places(pair, self.history.places.likely(pair.frame, self.lost_in_a_row))
-        if found is None or (keyframe := self._keyframe(frame)) is None:
-            return None
         history = self.history
+        found = find_in_window(pair, self.motion.predicted(self.motion.gap(frame.timestamp)), window)
+        found = found or find_in_places(pair, history.places.likely(pair.frame, self.lost_in_a_row))
+        if found is None:
+            return None
+        self.motion.judge(found.verdict, False)
+        T_cam_world = found.tracked.T_frame_kf @ history.keyframe_poses[found.number]
+        if (keyframe := self._keyframe(frame, T_cam_world)) is None:
+            return None
         if found.number not in window:
             self._leave_window()
-        self.motion.move(found.tracked.T_frame_kf @ history.keyframe_poses[found.number], frame, 0.0)
+        self.motion.move(T_cam_world, frame, 0.0)
         self.motion.lose()
         self.reference, self.lost_in_a_row, self.last = None, 0, None
         history.segment = history.segments[found.number]
@@ -255,6 +269,14 @@ class IdRgbdo:
         T_world_cam = torch.from_numpy(inverse(self.motion.T_cam_world))
         return replace(result, T_world_cam=T_world_cam, status=Status.WEAK, reason=reason, segment=segment)
 
+    def _lost(self, frame: Frame, reason: str) -> TrackResult:
+        """Stay where we were and say so; after too many such frames begin anew, with this one."""
+        if self.lost_in_a_row < PATIENCE:
+            return self._hold(frame, reason)
+        if self.motion.waits(frame.timestamp) and blocked(frame, self.window_keyframes(), self.motion.T_cam_world):
+            return self._hold(frame, "something blocks the view")
+        return self._start_segment(frame, reason)
+
     def _hold(self, frame: Frame, reason: str) -> TrackResult:
         """Stay where we were and say so."""
         self.lost_in_a_row += 1
@@ -266,35 +288,4 @@ class IdRgbdo:
         T_kf_world = self.motion.T_cam_world if self.reference is None else self.reference.T_kf_world
         self.history.add_frame(frame.timestamp, self.motion.T_cam_world @ inverse(T_kf_world))
         self.last = None
-        return held(self.motion.T_cam_world, status, reason, self.history.segment)
-
-    def trajectory(self) -> Trajectory:
-        """Every frame's pose by all that is known now, the frames after it included."""
-        return self.history.trajectory()
-
-    def maps(self) -> dict[int, Cloud]:
-        """By segment, the candidate points of its keyframes in its world; more than one only where a track broke."""
-        return self.history.maps(self.window.members.keyframes)
-
-    def map_points(self) -> tuple[Tensor, Tensor]:
-        """(N, 3) float32 candidate points of all keyframes in the world, m, and their (N, 3) uint8 RGB colours."""
-        return together(self.maps().values()).tensors()
-
-    def window_keyframes(self) -> dict[int, tuple[Keyframe, Array]]:
-        """By number, the keyframes that are still refined and their T_kf_world (4, 4); the newest is the last."""
-        members, reference = self.window.members, self.reference
-        if not members and reference is not None:  # the window is off
-            return {len(self.history.keyframe_poses) - 1: (reference.keyframe, reference.T_kf_world)}
-        return dict(zip(self.history.in_window, zip(members.keyframes, members.T, strict=True), strict=True))
-
-    def last_alignment(self) -> tuple[Keyframe, Tracked] | None:
-        """The keyframe that the last frame was tracked against, and how; None where it was not tracked."""
-        return self.last
-
-    def last_points(self) -> tuple[Tensor, Tensor]:
-        """The points last tracked: (N, 2) px in that frame, and (N,) bits that each adds to what the others know."""
-        return tracked_points(self.last, self.noise, self.backend)
-
-    def last_candidates(self) -> Tensor:
-        """(M, 2) px of the candidates that the last frame sees: those it could have been tracked with, else its own."""
-        return seen_candidates(self.last, self.reference, self.history.times, self.noise, self.backend)
+        return held(self.motion.shown, status, reason, self.history.segment)

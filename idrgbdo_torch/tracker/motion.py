@@ -11,10 +11,14 @@ from numpy.typing import NDArray
 from ..frame import Frame
 from ..kernels.se3 import inverse, log_se3, retract
 from ..measurement import RATE
+from .verification import LIMITS, Verdict
 
 Array = NDArray[np.float64]
 
 GOES_ON = 0.35  # of a change of velocity in the half step to come; half would be exact, were poses without noise
+BLOCKED_S = 1.0  # s that something in front of the view is waited for
+EXPLAINED = 0.95  # share of the points with depth that agree or are hidden
+VIDEO_S = 0.2  # s between frames, up to which a pose is that sure
 LONGEST = 3.0  # times the last gap that a velocity is followed
 
 
@@ -28,8 +32,17 @@ class Motion:
     time: float = 0.0  # s, of the last pose that was measured: lost frames since then do not count
     surprise_px: float = inf  # px in the image between the last frame's guess and pose
     turn: Array = field(default_factory=lambda: np.zeros(3))  # rad/s, of the last frame
+    contested: bool = False  # something was in front of the view of the last measured frame,
+    explained: bool = False  # and nothing but that disagreed in depth, so that the pose can tell what it is
     frame: Frame | None = None  # the last one, where it was measured,
     frame_turn: Array = field(default_factory=lambda: np.zeros(3))  # and its turn
+
+    said: Array | None = None  # (4, 4) the last pose that was given, where it was refined since then in a loss
+
+    @property
+    def shown(self) -> Array:
+        """The pose (4, 4) that a lost frame is held at: the last that was given."""
+        return self.T_cam_world if self.said is None else self.said
 
     @staticmethod
     def at(T_cam_world: Array) -> Motion:
@@ -58,7 +71,16 @@ class Motion:
     def move(self, T_cam_world: Array, frame: Frame, dt: float) -> None:
         """To a frame's measured pose; dt 0 where the step from the one before is no velocity."""
         self.T_previous, self.T_cam_world, self.dt = self.T_cam_world, T_cam_world, dt
-        self.frame, self.frame_turn, self.time = frame, self.turn, frame.timestamp
+        self.frame, self.frame_turn, self.time, self.said = frame, self.turn, frame.timestamp, None
+
+    def judge(self, verdict: Verdict, intruded: bool) -> None:
+        """What stood in front of the last measured frame, against a keyframe that was intruded upon or not."""
+        self.contested = intruded or verdict.hidden > LIMITS.in_front
+        self.explained = verdict.near + verdict.hidden > EXPLAINED and self.dt < VIDEO_S
+
+    def waits(self, timestamp: float) -> bool:
+        """Whether what stands in front is waited for: it had entered before the loss, and not long ago."""
+        return self.contested and timestamp - self.time < BLOCKED_S
 
     def correct(self, T_cam_world: Array) -> None:
         """The present pose was refined: the one before follows, so that the velocity stays."""

@@ -83,6 +83,6 @@ def from_perspective(number: int, pair: Pair, start: Perspective) -> Found | Non
 
 def sure(number: int, tracked: Tracked, verdict: Verdict) -> Found | None:
     """A pose found elsewhere than in the newest keyframe, if it is to be taken: a wrong one is worse than none."""
-    if verdict.visible < IN_VIEW or verdict.doubt(LIMITS.sure):
-        return None
+    if verdict.visible < IN_VIEW or verdict.doubt(LIMITS.sure) or verdict.hidden > LIMITS.in_front:
+        return None  # what hides much of the place would become part of the keyframe that is made here
     return Found(number, tracked, verdict)

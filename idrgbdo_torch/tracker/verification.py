@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..measurement import State
+from ..measurement import Agreement, State
 from .tracking import Pair, Tracked
 
 Array = NDArray[np.float64]
@@ -31,6 +31,9 @@ class Limits:
     lost: float = 0.54  # and is not used
     depth_above: float = 0.12  # how much larger the share must be in depth, which knows no shadows and highlights
     few_depths: int = 12  # fewer measured depths than this are too few to judge by
+    in_front: float = 0.15  # share of hidden points under which nothing stands in front: borders and parallax
+    obstructed: float = 0.6  # share above which the rest is too little to be sure
+    beside: int = 24  # points with depth beside something in front that a pose can be judged by
     points: int = 6  # a pose has six degrees of freedom
     gain: float = 1.0  # of the logarithm: with no contrast left, a black or white image would explain everything
     unsure_bits: float = -7.0  # entropy of the least certain degree of freedom: 2 mm or 2 mrad given the others
@@ -46,6 +49,7 @@ class Verdict:
     visible: float  # share of the points that the frame sees
     bright: float  # share of those with agreeing brightness
     near: float  # share of those with depth that agree in depth
+    hidden: float = 0.0  # share of the seen ones with depth that something nearer hides
     supported: bool = False  # features that had no part in the alignment agree with it
 
     @property
@@ -64,6 +68,11 @@ class Verdict:
         return ""
 
 
+def obstructed(verdict: Verdict) -> str:
+    """Why a pose is doubtful that few points speak for, since something hides the others; empty when it does not."""
+    return f"something hides {verdict.hidden:.0%} of the points" if verdict.hidden > LIMITS.obstructed else ""
+
+
 def unsure(entropies: Array) -> str:
     """Why a pose with these entropies (6,) in bits is doubtful however well it fits, empty when it is not."""
     bits, freedom = max(zip(entropies.tolist(), FREEDOMS, strict=True))
@@ -75,10 +84,31 @@ def verify(pair: Pair, tracked: Tracked) -> Verdict:
     if not (np.isfinite(tracked.T_frame_kf).all() and tracked.points >= LIMITS.points):
         return Verdict(0.0, 0.0, 0.0)
     witnesses, state = pair.keyframe.witnesses, State(tracked.T_frame_kf, tracked.affine)
-    seen, bright, with_depth, near = pair.backend.verify(
+    found = pair.backend.verify(
         pair.frame.view, LIMITS.level, pair.keyframe.points, witnesses, state, pair.noise, LIMITS.gray
     )
     if abs(tracked.affine[0]) > LIMITS.gain:
-        bright = 0
-    few = 0 < with_depth < LIMITS.few_depths  # then judged by brightness alone; one without any depth is broken
-    return Verdict(seen / max(len(witnesses), 1), bright / max(seen, 1), 1.0 if few else near / max(with_depth, 1))
+        found = found._replace(bright=0, hidden_bright=0)
+    verdict = judged(found, len(witnesses))
+    if verdict.hidden < LIMITS.in_front or not verdict.doubt(LIMITS.weak):
+        return verdict
+    rest = unhidden(found)
+    beside = judged(rest, len(witnesses))  # what can be seen at all, if that is enough, and sure of the pose
+    if rest.with_depth < LIMITS.beside or beside.doubt(LIMITS.sure):
+        return verdict
+    return replace(beside, hidden=verdict.hidden)
+
+
+def judged(found: Agreement, witnesses: int) -> Verdict:
+    """Counts as shares of so many witnesses."""
+    few = 0 < found.with_depth < LIMITS.few_depths  # judged by brightness alone; one without any depth is broken
+    near = 1.0 if few else found.near / max(found.with_depth, 1)
+    hidden = found.hidden / max(found.with_depth, 1)
+    return Verdict(found.seen / max(witnesses, 1), found.bright / max(found.seen, 1), near, hidden)
+
+
+def unhidden(found: Agreement) -> Agreement:
+    """The same without the points that something hides."""
+    return Agreement(
+        found.seen - found.hidden, found.bright - found.hidden_bright, found.with_depth - found.hidden, found.near, 0, 0
+    )

@@ -17,6 +17,7 @@ from idrgbdo_torch.commands.cli import main
 from idrgbdo_torch.config import Config
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.experiments import NAMES, ablation, faults, fig3, fig6, fig7, fig8, run_experiment, table1
+from idrgbdo_torch.experiments import events as events_of
 from idrgbdo_torch.experiments.lab import Lab, interval, write_report
 from idrgbdo_torch.experiments.paper import TABLE_1
 from idrgbdo_torch.experiments.relatives import RELATIVES
@@ -311,3 +312,14 @@ def test_faults_are_filmed_named_and_compared(tmp_path: Path, monkeypatch: pytes
     assert len(found) == 4 and "where camera.toml names it" in found[0] and "opencv-rgb" in found[0]
     with pytest.raises(IdRgbdoError, match="pass --rendered"):
         run_experiment("faults", replace(small, films=()))
+
+
+def test_events_end_where_the_view_is_known(lab: Lab) -> None:
+    done = run_experiment("events", lab)
+    (events, each) = done.tables.values()
+    assert len(done.findings) == 4 and len(events.rows) == 2 and len(each.rows) == 20
+    found = [row for row in each.rows if row[2] is not None]
+    assert len(found) >= 16 and sum(bool(row[-1]) for row in found) >= 14
+    assert [row[4] for row in events.rows] == [0, 0]  # wrong recoveries
+    shown, returns = events_of.play(36)
+    assert len(returns) == 10 and {s.event for s in shown} == {"", *events_of.FRAMES} - {"jump"}

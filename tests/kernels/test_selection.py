@@ -138,12 +138,16 @@ def test_verify_counts_what_agrees(scene: Scene) -> None:
         state = State(T_TARGET_HOST.numpy(), affine.numpy())
         return verify(view, 0, points, np.arange(200), state, noise, 12.0)
 
-    seen, bright, with_depth, near = counts(points, AFFINE)
+    seen, bright, with_depth, near, hidden, _ = counts(points, AFFINE)
+    assert hidden == 0
     assert seen == int(valid.sum()) < 200 and bright == seen
     assert with_depth == int(sample_surface(target[1], warped.centre, 0.1)[2][valid].sum()) and near == with_depth
     assert counts(points, AFFINE + torch.tensor([0.0, 13.0]))[1] == 0
     assert counts(points, AFFINE + torch.tensor([0.0, 11.0]))[1] == seen
     wrong = d.numpy().copy()
     wrong[::2] *= 1.15
-    _, _, with_depth, near = counts(points._replace(inv_depth=wrong), AFFINE)
-    assert 0.35 * with_depth < near < 0.65 * with_depth
+    _, _, with_depth, near, hidden, _ = counts(points._replace(inv_depth=wrong), AFFINE)
+    assert 0.35 * with_depth < near < 0.65 * with_depth and hidden == 0
+    wrong[::2] *= 0.7  # now behind what the view sees there
+    _, _, with_depth, near, hidden, bright = counts(points._replace(inv_depth=wrong), AFFINE)
+    assert near + hidden == with_depth and hidden > 0.35 * with_depth and bright <= hidden

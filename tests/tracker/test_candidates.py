@@ -15,8 +15,19 @@ from idrgbdo_torch.definitions.image import gradient, sample_with_gradient
 from idrgbdo_torch.frame import Frame, prepare
 from idrgbdo_torch.kernels import candidates as fused
 from idrgbdo_torch.measurement import PATTERN_U, PATTERN_V, kernel_noise
+from idrgbdo_torch.odometry import Status, run
+from idrgbdo_torch.synthetic.disturbance import with_holes
 from idrgbdo_torch.tracker.backends import backend_named
-from idrgbdo_torch.tracker.candidates import BLOCK, BORDER, CANNY, PLANE_RADIUS, THRESHOLD_OFFSET, spread_out
+from idrgbdo_torch.tracker.candidates import (
+    BLOCK,
+    BORDER,
+    CANNY,
+    PLANE_RADIUS,
+    THRESHOLD_OFFSET,
+    spread_out,
+    without_speckles,
+)
+from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 from idrgbdo_torch.tracker.keyframe import make_keyframe
 
 FUSED = backend_named("fused")
@@ -196,3 +207,25 @@ def test_an_image_without_depth_has_no_candidates(frame: Frame) -> None:
         blind = replace(frame, depth=np.zeros_like(frame.depth))
         keyframe = make_keyframe(blind, with_mode(mode), np.random.default_rng(0), FUSED)
         assert len(keyframe.points.uv) == len(keyframe.coarse) == 0
+
+
+@pytest.mark.parametrize("share", [0.2, 0.3])
+def test_holes_by_chance_leave_enough_to_track(desk: Film, share: float) -> None:
+    """Stereo sensors lack the depth of one pixel in five; no 7 x 7 pixels are whole then."""
+    rng = np.random.default_rng(0)
+    done = run(IdRgbdo(), [with_holes(frame, share, rng) for frame in desk.frames[:12]])
+    assert done.statuses == (Status.OK,) * 12
+    assert float((done.records[-1].result.T_world_cam[:3, 3] - desk.T(0, 11)[:3, 3]).norm()) < 0.005
+
+
+def test_only_depth_with_many_small_holes_is_closed() -> None:
+    depth = np.full((60, 80), 2.0, np.float32)
+    depth[:, 40:] = 3.0
+    depth[10:30, 10:20] = 0.0
+    assert without_speckles(depth) is depth
+    holes = np.random.default_rng(0).random(depth.shape) < 0.2
+    closed = without_speckles(np.where(holes, np.float32(0.0), depth))
+    assert (closed[10:30, 10:20] == 0.0).mean() > 0.6  # a shadow stays
+    small = holes & (depth > 0.0)
+    small[:, 38:42] = small[8:32, 8:22] = False
+    assert (closed[small] > 0.0).mean() > 0.9 and np.abs(closed - depth)[small & (closed > 0.0)].max() < 1e-6
