@@ -89,6 +89,7 @@ class Subset(NamedTuple):
 
     which: Array  # (M,) int64
     pixels: int
+    weight: Array | None = None  # (N, P) factors above 0 on the information of all points' pixels, if there are any
 
 
 class State(NamedTuple):

@@ -81,7 +81,7 @@ def run(lab: Lab) -> Report:
 
 def survey(lab: Lab) -> Errors:
     """Every method on every film with every fault."""
-    from baselines import METHODS
+    from ..comparison.shipped import shipped_methods
 
     films = lab.films[: QUICK_FILMS if lab.quick else FILMS]
     plan = {
@@ -99,7 +99,7 @@ def survey(lab: Lab) -> Errors:
             tasks += [(method + NAMED, case, Task(clip, "ours", config)) for method, config in ours.items()]
             continue
         tasks += [(method, case, Task(clip, "ours", config)) for method, config in ours.items()]
-        tasks += [(method, case, Task(clip, method)) for method in others(METHODS, lab.quick)]
+        tasks += [(method, case, Task(clip, method)) for method in others(shipped_methods(), lab.quick)]
     clips = tuple(dict.fromkeys(task.clip for _, _, task in tasks))
     measured = replace(lab, clips=clips).measure([task for _, _, task in tasks])
     results: dict[tuple[str, Case], list[Measured]] = {}

@@ -14,12 +14,12 @@ from .patch import LANES, Brightness, forget_unseen, lanes_for, new_room, patch_
 
 
 @exact_kernel
-def linearise(view, level, points, subset, state, scale, limit, noise, system, weight=None):
+def linearise(view, level, points, subset, state, scale, limit, noise, system):
     """Normal equations of one level at one pose.
 
     view: View; subset: the points and pixels that count; state: State. scale: robust scale of the whitened residuals;
-    limit: saturation of a point's rms in units of scale. Fills system: System. weight: (N, P) factors above 0 on the
-    information of all points' pixels; where there are none they are not even compiled.
+    limit: saturation of a point's rms in units of scale. Fills system: System. Where the subset has no weights they are
+    not even compiled.
     Returns (energy, points seen, points within the limit).
     """
     image, cam = view.images[level], view.cameras[level]
@@ -29,14 +29,14 @@ def linearise(view, level, points, subset, state, scale, limit, noise, system, w
     bright = Brightness(exp(state.affine[0]), 0.0, state.affine[1], 1.0 / (scale * scale))
     whole = new_room(count)
     equations = new_equations()
-    weights = new_weights(weight)
+    weights = new_weights(subset.weight)
     energy = 0.0
     seen = 0
     kept = 0
     for first in range(0, index.shape[0], LANES):
         room = lanes_for(whole, index.shape[0] - first)
         host_rows(points, index, first, level, room)
-        host_weights(weight, index, first, room, weights)
+        host_weights(subset.weight, index, first, room, weights)
         patch_sums(image, camera, state.T, bright, noise, room, weights)
         rows = room.points
         for n in range(min(room.lanes, index.shape[0] - first)):

@@ -67,16 +67,41 @@ class Systems(NamedTuple):
         return Systems(np.empty((B, 8, 8)), np.empty((B, 8)), np.empty(B), np.empty((B, N)))
 
 
+class Targets(NamedTuple):
+    """What some targets show: six levels, as the tracker's frames have, or copies of the last."""
+
+    images: tuple[Array, ...]  # a level: (n, H >> l, W >> l) float32
+    depth: Array  # (n, H, W) float32
+    cameras: Array  # (L, 4)
+
+
+class At(NamedTuple):
+    """Where B pairs are linearised."""
+
+    T: Array  # (B, 4, 4)
+    affine: Array  # (B, 2)
+    scale: Array  # (B,) robust scales of the whitened residuals
+    limit: float  # in units of them
+
+
+class After(NamedTuple):
+    """What follows a search: so many Gauss-Newton steps, or as many as it takes until nothing moves."""
+
+    more: int
+    still: bool
+
+
 @kernel
-def view_of(images, depth, cameras, b):
-    """What the target of pair b shows: images has six levels, as the tracker's frames do, or copies of the last."""
+def view_of(targets, b):
+    """What one of them shows."""
+    images = targets.images
     levels = (images[0][b], images[1][b], images[2][b], images[3][b], images[4][b], images[5][b])
-    return View(levels, depth[b], cameras)
+    return View(levels, targets.depth[b], targets.cameras)
 
 
 @kernel
-def points_of(points, b):
-    """The points of pair b, and which of them are any."""
+def points_of(points, weight, b):
+    """The points of pair b, and which of them are any, with their weights if there are such."""
     one = Points(
         points.uv[b], points.inv_depth[b], points.var_inv_depth[b], points.patch[b], points.gradient[b], points.slope[b]
     )
@@ -86,7 +111,7 @@ def points_of(points, b):
         if one.inv_depth[n] > 0.0 and np.isfinite(one.inv_depth[n]):
             which[count] = n
             count += 1
-    return one, Subset(which[:count], one.patch.shape[2])
+    return one, Subset(which[:count], one.patch.shape[2], weight_of(weight, b))
 
 
 @kernel
@@ -98,20 +123,18 @@ def weight_of(weight, b):
 
 
 @kernel
-def align_pairs(images, depth, cameras, points, weight, prior, noise, steps, more, still, first, out):
-    """Pairs first, first + 1 and so on, as many as there are images. Fills out, the arrays of a Search.
+def align_pairs(targets, points, weight, prior, noise, steps, after, first, out):
+    """Pairs first, first + 1 and so on, as many as there are Targets. Fills out, the arrays of a Search.
 
-    prior: T (B, 4, 4), information (B, 6, 6), affine (B, 2), affine_information (B, 2, 2). more: Gauss-Newton steps
-    after the search; still: go on until nothing moves instead.
+    prior: T (B, 4, 4), information (B, 6, 6), affine (B, 2), affine_information (B, 2, 2). after: After.
     """
-    for k in range(depth.shape[0]):
+    for k in range(targets.depth.shape[0]):
         b = first + k
-        view = view_of(images, depth, cameras, k)
-        one, subset = points_of(points, b)
-        w = weight_of(weight, b)
+        view = view_of(targets, k)
+        one, subset = points_of(points, weight, b)
         known = MotionPrior(inverse(prior.T[b]), prior.information[b], prior.affine_information[b])
         start = State(prior.T[b], prior.affine[b])
-        found = align(view, one, subset, subset, start, known, noise, steps, w)
+        found = align(view, one, subset, subset, start, known, noise, steps)
         out.T_found[b] = found.T
         out.affine_found[b] = found.affine
         out.scale[b] = found.scale
@@ -120,10 +143,10 @@ def align_pairs(images, depth, cameras, points, weight, prior, noise, steps, mor
         out.spread[b] = found.affine_information
         state = State(found.T, found.affine)
         system = System(found.H, np.empty(8), np.empty(subset.which.shape[0]))
-        state = stepped(view, one, subset, state, known, found, noise, more, still, system, w)
+        state = stepped(view, one, subset, state, known, found, noise, after, system)
         out.T[b] = state.T
         out.affine[b] = state.affine
-        linearise(view, 0, one, subset, state, found.scale, noise.outlier, noise, system, w)
+        linearise(view, 0, one, subset, state, found.scale, noise.outlier, noise, system)
         out.H[b] = system.H
         out.rms[b] = -1.0
         for n in range(subset.which.shape[0]):
@@ -131,12 +154,13 @@ def align_pairs(images, depth, cameras, points, weight, prior, noise, steps, mor
 
 
 @kernel
-def stepped(view, points, subset, state, prior, found, noise, more, still, system, weight):
-    """Gauss-Newton steps on the finest level from where the search ended; still: only such as come nearer to a root."""
+def stepped(view, points, subset, state, prior, found, noise, after, system):
+    """Gauss-Newton steps on the finest level from where the search ended; of many only such as near a root."""
     size = np.inf
     best = state
-    for _ in range(PATIENCE if still else more):
-        linearise(view, 0, points, subset, state, found.scale, noise.outlier, noise, system, weight)
+    still = after.still
+    for _ in range(PATIENCE if still else after.more):
+        linearise(view, 0, points, subset, state, found.scale, noise.outlier, noise, system)
         prior_terms(system, state, found.affine_centre, prior, found.affine_information)
         for i in range(8):
             system.H[i, i] += FLOOR
@@ -156,16 +180,18 @@ def stepped(view, points, subset, state, prior, found, noise, more, still, syste
 
 
 @kernel
-def linearise_pairs(images, level, depth, cameras, points, weight, T, affine, scale, limit, noise, first, out):
-    """Pairs first, first + 1 and so on, as many as there are images. Fills out, the arrays of a Systems."""
-    for k in range(depth.shape[0]):
+def linearise_pairs(targets, level, points, weight, at, noise, first, out):
+    """Pairs first, first + 1 and so on, as many as there are Targets. Fills out, the arrays of a Systems.
+
+    at: At.
+    """
+    for k in range(targets.depth.shape[0]):
         b = first + k
-        view = view_of(images, depth, cameras, k)
-        one, subset = points_of(points, b)
-        w = weight_of(weight, b)
+        view = view_of(targets, k)
+        one, subset = points_of(points, weight, b)
         system = System(out.H[b], out.b[b], np.empty(subset.which.shape[0]))
         energy, _seen, _kept = linearise(
-            view, level, one, subset, State(T[b], affine[b]), scale[b], limit, noise, system, w
+            view, level, one, subset, State(at.T[b], at.affine[b]), at.scale[b], at.limit, noise, system
         )
         out.energy[b] = energy
         out.rms[b] = -1.0

@@ -55,12 +55,11 @@ def smallest(values, count, k):
 
 
 @kernel
-def align(view, points, coarse, fine, start, prior, noise, steps, weight=None):
+def align(view, points, coarse, fine, start, prior, noise, steps):
     """Coarse-to-fine damped Gauss-Newton of a view against a keyframe's points, from a State (Aligned).
 
     coarse, fine: Subsets for the finest level and for the others. prior: MotionPrior, of the brightness about the
     start's. steps: (L,) most iterations per level, finest first; the pyramid may have more levels.
-    weight: see linearise.
     """
     state = State(start.T.copy(), start.affine.copy())
     affine_centre = start.affine
@@ -80,13 +79,13 @@ def align(view, points, coarse, fine, start, prior, noise, steps, weight=None):
             rms = np.empty(subset.which.shape[0])
             system = System(system.H, system.b, rms)
             trial = System(trial.H, trial.b, rms)
-            linearise(view, level, points, subset, state, 1.0, 1e9, noise, system, weight)
+            linearise(view, level, points, subset, state, 1.0, 1e9, noise, system)
         rounds = 2 if finest else 1  # the second one works with the outlier limit from the first
         for turn in range(rounds):
             settled = SETTLED[turn] if finest else SETTLED_COARSE
             scale = robust_scale(rms)
             limit = noise.outlier
-            energy, seen, kept = linearise(view, level, points, subset, state, scale, limit, noise, system, weight)
+            energy, seen, kept = linearise(view, level, points, subset, state, scale, limit, noise, system)
             energy += prior_terms(system, state, affine_centre, prior, affine_prior)
             damping = 0.0
             iterations = 0
@@ -100,9 +99,7 @@ def align(view, points, coarse, fine, start, prior, noise, steps, weight=None):
                     break
                 change = sqrt(max(0.0, dot(step, system.b)))
                 new = State(retract(step[:6], state.T), state.affine + step[6:])
-                energy_new, seen_new, kept_new = linearise(
-                    view, level, points, subset, new, scale, limit, noise, trial, weight
-                )
+                energy_new, seen_new, kept_new = linearise(view, level, points, subset, new, scale, limit, noise, trial)
                 energy_new += prior_terms(trial, new, affine_centre, prior, affine_prior)
                 # a point that leaves the image must not look like a gain
                 lost = max(0, seen - seen_new)
@@ -127,7 +124,7 @@ def align(view, points, coarse, fine, start, prior, noise, steps, weight=None):
             affine_prior = brightness_information(system.H, affine_prior)
             affine_centre = state.affine.copy()
     # the information and the residuals at the accepted pose
-    energy, seen, kept = linearise(view, level, points, fine, state, scale, noise.outlier, noise, system, weight)
+    energy, seen, kept = linearise(view, level, points, fine, state, scale, noise.outlier, noise, system)
     for k in range(2):
         for j in range(2):
             system.H[6 + k, 6 + j] += affine_prior[k, j]

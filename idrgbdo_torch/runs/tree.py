@@ -125,7 +125,7 @@ class _Writer:
             return value.name
         if isinstance(value, tuple):
             return [self.reference(item) for item in value]
-        held = {f.name: getattr(value, f.name) for f in fields(value)} if is_dataclass(value) else vars(value)
+        held = {f.name: getattr(value, f.name) for f in fields(value) if f.init} if is_dataclass(value) else vars(value)
         return {name: self.reference(item) for name, item in held.items()}
 
 

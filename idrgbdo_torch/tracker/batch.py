@@ -23,7 +23,7 @@ from ..definitions.points import ONE_SURFACE, HostPoints
 from ..frame import gray_pyramid
 from ..kernels import pairs
 from ..kernels.candidates import sample_patches
-from ..kernels.pairs import Search, Starts, Systems
+from ..kernels.pairs import After, At, Search, Starts, Systems, Targets
 from ..measurement import LEVELS, PIXELS, Array, Noise, Points
 
 CHUNK = 8  # pairs at most that a thread takes at once: their pyramids stay in its cache
@@ -152,7 +152,8 @@ def search(task: PairsTask, more: int, still: bool) -> tuple[Search, Array]:
         metres = np.zeros((end - first, 1, 1), np.float32)
         if depth is not None:
             metres = seen.metres(first, depth[first:end])
-        pairs.align_pairs(images, metres, cameras, points, weight, starts, noise, steps, more, still, first, out)
+        targets = Targets(images, metres, cameras)
+        pairs.align_pairs(targets, points, weight, starts, noise, steps, After(more, still), first, out)
 
     in_threads(work, B)
     if B:
@@ -167,7 +168,7 @@ def systems(
     B, N = points.inverse_depth.shape
     arrays, weight = kernel_points(points)
     plain = kernel_noise_of(noise, target.inverse_depth is not None)
-    poses, brightness, scales = double(T), double(affine), double(scale)
+    at = At(double(T), double(affine), double(scale), limit)
     image, cameras, out = single(target.image), intrinsics(target.camera), Systems.empty(B, N)
     inverse_depth = None if target.inverse_depth is None else single(target.inverse_depth)
 
@@ -176,10 +177,8 @@ def systems(
         if inverse_depth is not None:
             some = inverse_depth[first:end]
             depth = np.divide(1, some, out=np.zeros_like(some), where=some > 0)
-        pairs.linearise_pairs(
-            (image[first:end],) * LEVELS, target.level, depth, cameras, arrays, weight, poses, brightness, scales,
-            limit, plain, first, out,
-        )  # fmt: skip
+        targets = Targets((image[first:end],) * LEVELS, depth, cameras)
+        pairs.linearise_pairs(targets, target.level, arrays, weight, at, plain, first, out)
 
     in_threads(work, B)
     return out

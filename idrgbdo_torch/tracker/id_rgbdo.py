@@ -64,7 +64,6 @@ class IdRgbdo(Shown):
         self.window = Window(self.config, self.noise, self.backend)
         self.history = History()
         self.lost_in_a_row = 0
-        self.first: RgbdFrame | None = None  # the first frame, until the camera's velocity is known
         self.last: tuple[Keyframe, Tracked] | None = None  # what the last frame was tracked against
 
     def track(self, rgbd: RgbdFrame) -> TrackResult:
@@ -72,7 +71,7 @@ class IdRgbdo(Shown):
         check_next(rgbd, self.reference.keyframe.frame.camera if self.reference else None)
         frame = steady(rgbd, self.motion.velocity(), self.config.tracking.blur)
         if self.reference is None:
-            self.first = rgbd if takes_time(rgbd.camera) else None
+            self.motion.first = rgbd if takes_time(rgbd.camera) else None
             return self._start_segment(frame, "too few points with depth and texture to start from")
         tracked, verdict = self._align(frame, self.reference)
         if takes_time(rgbd.camera) and not verdict.doubt(LIMITS.lost):
@@ -103,11 +102,11 @@ class IdRgbdo(Shown):
     def _steadied(self, rgbd: RgbdFrame, tracked: Tracked, reference: Reference) -> tuple[Frame, Tracked, Verdict]:
         """A frame once more, now that its velocity is known; with the second one, the first keyframe too."""
         velocity = self.motion.velocity_at(tracked.T_frame_kf @ reference.T_kf_world, rgbd.timestamp)
-        still = [steady(image, velocity, self.config.tracking.blur) for image in (self.first, rgbd) if image]
-        if len(self.history.times) == 1 and self.first and self._keyframe(still[0]):
+        still = [steady(image, velocity, self.config.tracking.blur) for image in (self.motion.first, rgbd) if image]
+        if len(self.history.times) == 1 and self.motion.first and self._keyframe(still[0]):
             self.reset(torch.from_numpy(inverse(self.motion.T_cam_world)))
             self._start_segment(still[0], "")
-        self.first = None
+        self.motion.first = None
         return still[-1], *self._align(still[-1], self.reference or reference)
 
     def _align(self, frame: Frame, reference: Reference) -> tuple[Tracked, Verdict]:

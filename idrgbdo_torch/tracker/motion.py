@@ -8,7 +8,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frame import Frame
+from ..frame import Frame, RgbdFrame
 from ..kernels.se3 import inverse, log_se3, retract
 from ..measurement import RATE
 from .verification import LIMITS, Verdict
@@ -37,6 +37,7 @@ class Motion:
     frame: Frame | None = None  # the last one, where it was measured,
     frame_turn: Array = field(default_factory=lambda: np.zeros(3))  # and its turn
 
+    first: RgbdFrame | None = None  # the first one as it came, until the velocity that it needs is known
     said: Array | None = None  # (4, 4) the last pose that was given, where it was refined since then in a loss
 
     @property

@@ -128,4 +128,4 @@ def test_a_run_can_be_kept_while_the_first_frame_waits_for_its_velocity(clean: R
     kept = codec.read(text, memoryview(b"".join(bytes(part) for part in numbers)))
     for frame in frames[1:]:
         assert torch.equal(kept.track(frame).T_world_cam, odometry.track(frame).T_world_cam)
-    assert kept.first is None and len(kept.trajectory().timestamps) == 3
+    assert kept.motion.first is None and len(kept.trajectory().timestamps) == 3

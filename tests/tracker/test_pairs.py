@@ -241,7 +241,7 @@ def test_vmap_over_guesses(some: Pairs) -> None:
     for k, guess in enumerate(guesses):
         assert torch.equal(together[k], pose(guess))
     sigmas = torch.tensor([3.0, 4.0])
-    with pytest.raises(NotImplementedError, match="one noise for all pairs"):
+    with pytest.raises(IdRgbdoError, match="one noise for all pairs"):
         torch.vmap(
             lambda s: (
                 align_pairs(
