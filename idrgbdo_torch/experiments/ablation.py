@@ -53,7 +53,7 @@ SWITCHES: dict[str, dict[str, dict[str, Any]]] = {
     "keyframes by Eq. 20 as printed": {"keyframe": {"criterion": "ratio"}},
     "no window": {"window": {"enabled": False}},
     "window of 5 keyframes": {"window": {"keyframes": 5}},
-    "96 points in the window": {"window": {"points": 96}},
+    "24 points in the window": {"window": {"points": 24}},
     "no first-estimate Jacobians": {"window": {"first_estimates": False}},
     "removal: oldest first": {"window": {"removal": "oldest"}},
 }
