@@ -1,9 +1,8 @@
 """What patches tell: their pixels' residuals, weights and gradients, summed point by point (Eqs. 2, 6 to 9).
 
-The hot loop of tracking and of the window. Points come LANES at a time; everything about them lies in one short array,
-a row of LANES numbers for each quantity, so that every step is a loop over lanes that the processor does all at once.
-(The compiler proves that only for rows of one array at fixed distances.) Lanes without a point, and points that cannot
-be seen, are computed along and not looked at.
+The hot loop of tracking and of the window. Points come LANES at a time; what is known of them lies in short arrays, a
+row of LANES numbers for each quantity, so that most steps are loops over lanes that the processor does several at once.
+Lanes without a point, and points that cannot be seen, are computed along and not looked at.
 
 Kernels of lanes are exact: the compiler may take lanes at once or one by one, by where arrays happen to lie, and only
 operations that round as written give the same bits both ways.

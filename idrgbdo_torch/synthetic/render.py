@@ -73,7 +73,8 @@ class Renderer:
             rays = self.rays(T, du, dv)
             depth, ids, bary = self._cast(rays)
             blur = np.float32(1.0 / (c.fx * np.sqrt(min(samples, 4))))
-            _shade(rays, depth, ids, bary, w.uv, w.normal, w.surface, w.density, w.tables, w.texels, blur, total)
+            hits, surfaces = (rays, depth, ids, bary), (w.uv, w.normal, w.surface, w.density)
+            _shade(hits, surfaces, (w.tables, w.texels), blur, total)
         return np.asarray(total * np.float32(w.white / (FULL * samples)), np.float32)
 
     def _cast(self, rays: Floats) -> tuple[Floats, npt.NDArray[np.uint32], Floats]:
@@ -99,11 +100,14 @@ def _image_speed(T_a: Array, T_b: Array, focal: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _shade(rays, depth, ids, bary, uv, normals, owner, density, tables, texels, blur, total):  # type: ignore[no-untyped-def]
+def _shade(hits, surfaces, textures, blur, total):  # type: ignore[no-untyped-def]
     """Add to total (H, W, 3) the trilinear texture value of every hit.
 
     The mip level matches the pixel's footprint on the surface: the geometric mean of its two half axes.
     """
+    rays, depth, ids, bary = hits
+    uv, normals, owner, density = surfaces
+    tables, texels = textures
     H, W = depth.shape
     for i in range(H):
         for j in range(W):
