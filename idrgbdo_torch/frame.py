@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import cv2
@@ -197,13 +197,21 @@ class Frame:
     @cached_property
     def intrinsics(self) -> Image:
         """(L, 4) float64: fx fy cx cy of every level."""
-        cameras = [self.camera.at_level(level) for level in range(len(self.images))]
-        return np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras])
+        return intrinsics_of_levels(self.camera, len(self.images))
 
     @cached_property
     def view(self) -> View:
         """What an alignment reads of it."""
         return View(self.images, self.depth, self.intrinsics)
+
+
+@lru_cache(maxsize=16)  # a sequence has one camera
+def intrinsics_of_levels(camera: Pinhole, levels: int) -> Image:
+    """(L, 4) float64, read-only: fx fy cx cy of every level."""
+    cameras = [camera.at_level(level) for level in range(levels)]
+    intrinsics = np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras])
+    intrinsics.flags.writeable = False
+    return intrinsics
 
 
 def prepare(rgbd: RgbdFrame, blur: float = 0.0) -> Frame:

@@ -168,6 +168,51 @@ class WindowState(NamedTuple):
     inv_depth: Array  # (K, N) 1/m
 
 
+class WindowPairs(NamedTuple):
+    """What each pair of host and target says, linear about where it was taken; filled in place.
+
+    In increments of their relative state, those of the target, and of the host's inverse depths.
+    """
+
+    H: Array  # (K, K, 8, 8) host, target
+    b: Array  # (K, K, 8)
+    chain: Array  # (K, K, 8, 8) increments of the relative state by those of the host
+    Hd: Array  # (K, K, N) of the inverse depths, diagonal
+    bd: Array  # (K, K, N)
+    cross: Array  # (K, K, N, 8)
+    rms: Array  # (K, K, N) whitened residual, -1 unseen
+    energy: Array  # (K, K)
+    taken: Array  # (K, K) bool, whether it was taken at all
+    at_T: Array  # (K, K, 4, 4) T_target_host where it was
+    at_affine: Array  # (K, K, 2, 2) brightness of host and target there
+    at_inv_depth: Array  # (K, K, N) 1/m
+
+    @staticmethod
+    def empty(K: int, N: int) -> WindowPairs:
+        """Room for the pairs of K keyframes with N points each, none of which is taken."""
+        pair = (K, K)
+        pairs = WindowPairs(
+            np.zeros((*pair, STEP, STEP)), np.zeros((*pair, STEP)), np.zeros((*pair, STEP, STEP)),
+            np.zeros((*pair, N)), np.zeros((*pair, N)), np.zeros((*pair, N, STEP)), np.zeros((*pair, N)),
+            np.zeros(pair), np.zeros(pair, np.bool_), np.zeros((*pair, 4, 4)), np.zeros((*pair, 2, 2)),
+            np.zeros((*pair, N)),
+        )  # fmt: skip
+        pairs.rms[:] = -1.0
+        return pairs
+
+    def grown(self) -> WindowPairs:
+        """With room for the pairs of one more."""
+        K, _, N = self.rms.shape
+        more = WindowPairs.empty(K + 1, N)
+        for old, new in zip(self, more, strict=True):
+            new[:K, :K] = old
+        return more
+
+    def keep(self, mask: Array) -> WindowPairs:
+        """Those of the keyframes in the mask (K,) bool."""
+        return WindowPairs(*(array[np.ix_(mask, mask)] for array in self))
+
+
 class WindowSystem(NamedTuple):
     """Normal equations of a window, inverse depths still apart; filled in place."""
 
@@ -176,15 +221,12 @@ class WindowSystem(NamedTuple):
     Hd: Array  # (K, N) of the inverse depths, diagonal
     bd: Array  # (K, N)
     cross: Array  # (K, N, 8K)
-    rms: Array  # (K, N, K) whitened residual of host, point, target; -1 unseen
 
     @staticmethod
     def empty(K: int, N: int) -> WindowSystem:
         """Room for the system of K keyframes with N points each."""
         n = STEP * K
-        return WindowSystem(
-            np.zeros((n, n)), np.zeros(n), np.zeros((K, N)), np.zeros((K, N)), np.zeros((K, N, n)), np.zeros((K, N, K))
-        )
+        return WindowSystem(np.zeros((n, n)), np.zeros(n), np.zeros((K, N)), np.zeros((K, N)), np.zeros((K, N, n)))
 
 
 def inverse_depth_sigma(focal_baseline: float, sigma_disparity: float) -> float:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from ..measurement import OTHER_SURFACE, STEP, Noise, Views, WindowPoints, WindowState, WindowSystem
+from ..measurement import OTHER_SURFACE, STEP, Noise, Views, WindowPairs, WindowPoints, WindowState
 from .convert import Array, noise_of_arrays, pinhole
 from .image import sample_surface
 from .linearise import gradient_in_target
@@ -28,12 +29,12 @@ def linearise_window(
     views: Views,
     state: WindowState,
     points: WindowPoints,
-    pairs: Array,
+    which: Array,
     limit: float,
     noise: Noise,
-    system: WindowSystem,
-) -> float:
-    """Twin of kernels.window.linearise_window: fills the system, returns the energy.
+    pairs: WindowPairs,
+) -> None:
+    """Twin of kernels.window.linearise_window: fills the pairs.
 
     Inside, dimensions are (target, host, point, pixel); the state of one residual is [v, w, a, b, d].
     """
@@ -42,9 +43,7 @@ def linearise_window(
     at = torch.from_numpy(views.slots)
     gray, z = torch.from_numpy(views.images)[at], torch.from_numpy(views.depths)[at].double()
     inverse_depth = torch.where(z > 0, 1 / z, 0.0)  # (K, H, W)
-    uv, patch, gradient, measured, variance, valid, slope = (torch.from_numpy(x) for x in points)
-    chosen = torch.from_numpy(pairs)
-    takes_part = valid & chosen.diagonal()[:, None]  # (K, N), with its own sensor
+    uv, patch, gradient, _, _, valid, slope = (torch.from_numpy(x) for x in points)
     inv_depth = torch.from_numpy(state.inv_depth)
     usable = valid & (inv_depth > 1e-3)
     d = torch.where(usable, inv_depth, 1.0).expand(K, K, N)
@@ -52,9 +51,9 @@ def linearise_window(
     brightness = torch.from_numpy(state.affine)
     gain = (brightness[:, None, 0] - brightness[None, :, 0]).exp()  # (K, K)
 
-    T = _relative(torch.from_numpy(state.T))  # (K, K, 1, 4, 4)
+    T = relative_poses(torch.from_numpy(state.T))  # (K, K, 1, 4, 4)
     now = warp(camera, pixel, d, T, PATTERN[: patch.shape[-1]], slope.expand(K, K, N, 2))
-    linear = warp(camera, pixel, d, _relative(torch.from_numpy(state.T_linear)), PATTERN_1)
+    linear = warp(camera, pixel, d, relative_poses(torch.from_numpy(state.T_linear)), PATTERN_1)
     relative = torch.stack([gain.log(), brightness[:, None, 1].expand(K, K)], dim=-1)[:, :, None]  # (K, K, 1, 2)
     term = linearize(gray, now, patch.double() - brightness[:, 1, None, None], relative)
 
@@ -68,8 +67,7 @@ def linearise_window(
         sigma_intensity=float(sigma.sigma_intensity), sigma_pixel=float(sigma.sigma_pixel),
     )  # fmt: skip
     weight = 1 / residual_variance(h, phi)  # (K, K, N, P)
-    other = (chosen.mT & ~torch.eye(K, dtype=torch.bool))[..., None]  # (target, host, 1)
-    seen = term.valid & front & usable & other
+    seen = term.valid & front & usable
     s = term.r * weight.sqrt()
     size = s.square().mean(-1).sqrt()
     kept = seen & (size <= limit)
@@ -77,36 +75,27 @@ def linearise_window(
     J = torch.cat([g @ linear.duv_dxi, term.dr_daffine, (g @ linear.duv_dd[..., None])], dim=-1)  # (K, K, N, P, 9)
     w = huber_weight(s, noise.huber) * weight * kept[..., None]
     L, l = _normal(J, term.r, w)
-    energy = (2 * robust_cost(s, noise.huber) * kept[..., None]).sum()
+    energy = (2 * robust_cost(s, noise.huber) * kept[..., None]).sum((-2, -1))
     if bool((seen & ~kept).any()):
-        energy = energy + s.shape[-1] * limit**2 * (seen & ~kept).sum()
+        energy = energy + s.shape[-1] * limit**2 * (seen & ~kept).sum(-1)
 
     if noise.use_depth:
         rows, r, w, cost = _depth_rows(inverse_depth, now, linear, kept, noise)
         more = _normal(rows[..., None, :], r[..., None], w[..., None])
         L, l, energy = L + more[0], l + more[1], energy + cost
 
-    own = torch.where(takes_part, inv_depth - measured, 0.0)
-    own_weight = torch.where(takes_part, 1 / variance, 0.0)
-    energy = energy + (own_weight * own.square()).sum()
-    system.Hd[:] = (L[..., 8, 8].sum(0) + own_weight).numpy()
-    system.bd[:] = (l[..., 8].sum(0) - own_weight * own).numpy()
-    system.rms[:] = torch.where(seen, size, -1.0).permute(1, 2, 0).numpy()
-    _fill(system, L, l, _chain(torch.from_numpy(state.T_linear), gain))
-    return float(energy)
+    both = torch.stack([brightness.expand(K, K, 2), brightness[:, None].expand(K, K, 2)], dim=2)
+    filled = (
+        L[..., :8, :8].sum(2), l[..., :8].sum(2), _chain(torch.from_numpy(state.T_linear), gain), L[..., 8, 8],
+        l[..., 8], L[..., 8, :8], torch.where(seen, size, -1.0), energy, torch.ones(K, K, dtype=torch.bool),
+        T[:, :, 0], both, inv_depth.expand(K, K, N),
+    )  # fmt: skip
+    taken = which & ~np.eye(K, dtype=np.bool_)
+    for mine, out in zip(filled, pairs, strict=True):  # in the order of WindowPairs
+        out[taken] = mine.transpose(0, 1).numpy()[taken]
 
 
-def eliminate_depths(system: WindowSystem) -> tuple[Array, Array]:
-    """Twin of kernels.window.eliminate_depths: the Schur complement of the diagonal block of inverse depths."""
-    known = torch.from_numpy(system.Hd).flatten()
-    rows = torch.from_numpy(system.cross).flatten(0, 1)  # (K N, 8 K)
-    share = torch.where((known > 0)[:, None], rows / torch.where(known > 0, known, 1.0)[:, None], 0.0)
-    out = torch.from_numpy(system.H) - share.mT @ rows
-    rhs = torch.from_numpy(system.b) - share.mT @ torch.from_numpy(system.bd).flatten()
-    return (0.5 * (out + out.mT)).numpy(), rhs.numpy()
-
-
-def _relative(T_cam_world: Tensor) -> Tensor:
+def relative_poses(T_cam_world: Tensor) -> Tensor:
     """T_target_host (K, K, 1, 4, 4) of all pairs."""
     return (T_cam_world[:, None] @ inverse(T_cam_world)[None])[:, :, None]
 
@@ -134,31 +123,14 @@ def _depth_rows(
     dr_dd = (g * linear.duv_dd).sum(-1, keepdim=True) + slope * linear.dP_dd[..., 2:]
     J = torch.cat([dr_dxi, torch.zeros_like(dr_dxi[..., :2]), dr_dd], dim=-1)
     weight = weight * huber_weight(s, noise.huber, past) * on
-    return J, r, weight, (2 * robust_cost(s, noise.huber, past) * on).sum()
+    return J, r, weight, (2 * robust_cost(s, noise.huber, past) * on).sum(-1)
 
 
 def _chain(T_linear: Tensor, gain: Tensor) -> Tensor:
     """(K, K, 8, 8): increments of the relative state by those of the host."""
     K = len(T_linear)
     chain = torch.zeros(K, K, STEP, STEP, dtype=T_linear.dtype)
-    chain[..., :6, :6] = -adjoint(_relative(T_linear)[:, :, 0])
+    chain[..., :6, :6] = -adjoint(relative_poses(T_linear)[:, :, 0])
     chain[..., 6, 6] = -1.0
     chain[..., 7, 7] = -gain
     return chain
-
-
-def _fill(system: WindowSystem, L: Tensor, l: Tensor, chain: Tensor) -> None:
-    """Sum the points' systems (target, host, N, ...) into those of the keyframes."""
-    K, N = L.shape[1:3]
-    pair, pair_b = L[..., :8, :8].sum(2), l[..., :8].sum(2)  # (target, host, 8, 8)
-    across = pair @ chain
-    blocks = across.permute(0, 2, 1, 3) + across.permute(1, 3, 0, 2)  # (K, 8, K, 8), both triangles
-    sides = pair.sum(1) + (chain.mT @ across).sum(0)
-    k = torch.arange(K)
-    blocks[k, :, k] += sides
-    system.H[:] = blocks.reshape(STEP * K, STEP * K).numpy()
-    system.b[:] = (pair_b.sum(1) + (chain.mT @ pair_b[..., None])[..., 0].sum(0)).flatten().numpy()
-    by_target = L[..., 8, :8]  # (target, host, N, 8)
-    full = by_target.permute(1, 2, 0, 3).clone()  # (host, N, target, 8)
-    full[k, :, k] += (by_target[..., None, :] @ chain[:, :, None])[..., 0, :].sum(0)
-    system.cross[:] = full.reshape(K, N, STEP * K).numpy()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..config import Config
 from ..frame import Keyframe, RgbdFrame, prepare
 from ..kernels.se3 import inverse, retract
-from ..measurement import State, Subset, kernel_noise
+from ..measurement import State, Subset, WindowPairs, kernel_noise
 from ..synthetic import SynthConfig
 from ..synthetic.sequence import RenderedSequence
 from ..tracker.backends import backend_named
@@ -130,7 +130,8 @@ def window_case(scene: Scene, points: int, keyframes: int) -> Case:
     start = window.members
 
     def optimise() -> Any:
-        window.members = start
+        # with no pair taken, or nothing would be left to do
+        window.members = start._replace(pairs=WindowPairs.empty(*start.inv_depth.shape))
         return window.optimise()
 
     return optimise

@@ -91,11 +91,12 @@ def others(methods: Mapping[str, Method], quick: bool) -> list[str]:
 
 
 def with_points(config: Config, points: int) -> Config:
-    """A configuration with so many points, in the window too, and on coarse levels if it has no more there."""
+    """A configuration that tracks so many points; the window has no fewer, nor have coarse levels that had as many."""
     coarse = config.tracking.points_coarse
     if coarse == config.selection.points:
         config = replace(config, tracking=replace(config.tracking, points_coarse=points))
-    selection, window = replace(config.selection, points=points), replace(config.window, points=points)
+    selection = replace(config.selection, points=points)
+    window = replace(config.window, points=config.window.points and max(config.window.points, points))
     return replace(config, selection=selection, window=window)
 
 

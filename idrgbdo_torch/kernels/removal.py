@@ -19,7 +19,8 @@ def next_view_bits(information: Array, links: Array, adjoints: Array) -> Array:
     unit = scale[:, None] * information * scale
     unit.flat[:: n + 1] += UNKNOWN
     covariance = (scale[:, None] * np.linalg.inv(unit) * scale).reshape(K, 6, K, 6)
-    moved = np.einsum("iab,ibjc,jdc->iajd", adjoints, covariance, adjoints, optimize=True)
+    moved = adjoints[:, None] @ covariance.transpose(0, 2, 1, 3) @ adjoints.transpose(0, 2, 1)  # (K, K, 6, 6)
+    moved = moved.transpose(0, 2, 1, 3).copy()
     floor = LINK_FLOOR * links.diagonal(axis1=1, axis2=2).max(axis=0)
     k = np.arange(K)
     moved[k, :, k, :] += np.linalg.inv(links + np.diag(floor))

@@ -9,7 +9,7 @@ from math import acos, asin, cos, sin, sqrt
 
 import numpy as np
 
-from .compiled import kernel
+from .compiled import exact_kernel, kernel
 
 
 @kernel
@@ -128,4 +128,22 @@ def adjoint(T):
         out[0, 3 + j] = y * T[2, j] - z * T[1, j]
         out[1, 3 + j] = z * T[0, j] - x * T[2, j]
         out[2, 3 + j] = x * T[1, j] - y * T[0, j]
+    return out
+
+
+@exact_kernel
+def increments(T, T_0):
+    """Left increments (K, 6) that take poses T_0 (K, 4, 4) to T."""
+    out = np.empty((T.shape[0], 6))
+    for k in range(T.shape[0]):
+        out[k] = log_se3(compose(T[k], inverse(T_0[k])))
+    return out
+
+
+@exact_kernel
+def retracted(xi, T):
+    """Poses T (K, 4, 4) after left increments (K, 6)."""
+    out = np.empty_like(T)
+    for k in range(T.shape[0]):
+        out[k] = retract(xi[k], T[k])
     return out

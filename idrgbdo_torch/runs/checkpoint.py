@@ -29,7 +29,7 @@ from ..definitions.marginalization import LinearPrior
 from ..definitions.records import Records
 from ..errors import IdRgbdoError
 from ..frame import Frame, Keyframe, RgbdFrame
-from ..measurement import Noise, Points, WindowPoints, WindowSystem
+from ..measurement import Noise, Points, WindowPairs, WindowPoints, WindowSystem
 from ..odometry import ConstantVelocity, Odometry, Record, Status, TrackResult
 from ..text import configfile
 from ..tracker.backends import BACKENDS
@@ -43,13 +43,13 @@ from ..tracker.places import Place, Places
 from ..tracker.reference import Reference
 from ..tracker.smoothing import Departure, Departures
 from ..tracker.tracking import Tracked
-from ..tracker.window import Window
+from ..tracker.window import Solved, Window
 from .rows import PATTERN, RowsFile, read_chunk
 from .source import Source, difference
 from .tree import Codec
 
 NAME = "checkpoint.bin"
-MAGIC = b"idrgbdo checkpoint 3\n"  # the number is the format's
+MAGIC = b"idrgbdo checkpoint 4\n"  # the number is the format's
 SHARE = 30.0  # times what writing one takes, between two
 LEAST_S = 1.0  # between two
 DIGEST_BYTES = 32
@@ -57,8 +57,9 @@ COUNT_BYTES = 8  # of the length of the text
 TYPES = (  # what a state may be made of; a new type in the tracker's state has to be named here
     Config, NoiseConfig, SelectionConfig, TrackingConfig, KeyframeConfig, WindowConfig,
     Pinhole, LinearPrior, RgbdFrame, Frame, Keyframe, Noise, Points, WindowPoints,
-    WindowSystem, Features, Place, Places, Departure, Motion, Reference, History, Members,
+    WindowPairs, WindowSystem, Features, Place, Places, Departure, Motion, Reference, History, Members,
     Status, TrackResult, Record, Records, Column, Departures, ConstantVelocity, IdRgbdo, Cloud, Kept, Tracked, Window,
+    Solved,
 )  # fmt: skip
 CONSTANTS = {f"backend {name}": backend for name, backend in BACKENDS.items()}
 

@@ -24,6 +24,7 @@ from ..measurement import (
     Subset,
     View,
     Views,
+    WindowPairs,
     WindowPoints,
     WindowState,
     WindowSystem,
@@ -97,9 +98,18 @@ class Backend(Protocol):
         """Of whitened residuals (N,), -1 unseen."""
 
     def linearise_window(
-        self, views: Views, state: WindowState, points: WindowPoints, pairs: Array, limit: float, noise: Noise
+        self, views: Views, state: WindowState, points: WindowPoints, which: Array, limit: float, noise: Noise,
+        pairs: WindowPairs,
+    ) -> None:  # fmt: skip
+        """Fill the equations of some pairs of keyframes (K, K), each about the state."""
+
+    def distances(self, pairs: WindowPairs, state: WindowState) -> Array:
+        """How far each pair (K, K) is from where it was taken, in squared standard deviations an unknown."""
+
+    def assemble(
+        self, pairs: WindowPairs, state: WindowState, points: WindowPoints, which: Array
     ) -> tuple[float, WindowSystem]:
-        """Energy and normal equations of a window."""
+        """Energy and normal equations of some pairs (K, K) of a window at a state, if they are taken."""
 
     def eliminate_depths(self, system: WindowSystem) -> tuple[Array, Array]:
         """(8K, 8K) and (8K,) of poses and brightness."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 
 from ..config import SelectionConfig
-from ..definitions import candidates, marginalization, tracking, verification, window
+from ..definitions import assembly, candidates, marginalization, tracking, verification, window
 from ..definitions.camera import Pinhole
 from ..definitions.information import freedom_entropies_bits
 from ..definitions.linearise import robust_scale
@@ -26,6 +26,7 @@ from ..measurement import (
     Subset,
     View,
     Views,
+    WindowPairs,
     WindowPoints,
     WindowState,
     WindowSystem,
@@ -90,13 +91,22 @@ class Defined:
         return float(robust_scale(torch.from_numpy(rms)[None]))
 
     def linearise_window(
-        self, views: Views, state: WindowState, points: WindowPoints, pairs: Array, limit: float, noise: Noise
+        self, views: Views, state: WindowState, points: WindowPoints, which: Array, limit: float, noise: Noise,
+        pairs: WindowPairs,
+    ) -> None:  # fmt: skip
+        window.linearise_window(views, state, points, which, limit, noise, pairs)
+
+    def distances(self, pairs: WindowPairs, state: WindowState) -> Array:
+        return assembly.distances(pairs, state)
+
+    def assemble(
+        self, pairs: WindowPairs, state: WindowState, points: WindowPoints, which: Array
     ) -> tuple[float, WindowSystem]:
         system = WindowSystem.empty(*state.inv_depth.shape)
-        return window.linearise_window(views, state, points, pairs, limit, noise, system), system
+        return assembly.assemble(pairs, state, points, which, system), system
 
     def eliminate_depths(self, system: WindowSystem) -> tuple[Array, Array]:
-        return window.eliminate_depths(system)
+        return assembly.eliminate_depths(system)
 
     def marginalize(self, H: Array, b: Array, marginal: Array) -> LinearPrior:
         return marginalization.marginalize(torch.from_numpy(H), torch.from_numpy(b), torch.from_numpy(marginal))

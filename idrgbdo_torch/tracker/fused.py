@@ -12,7 +12,7 @@ from ..definitions import marginalization as defined
 from ..definitions.camera import Pinhole
 from ..definitions.marginalization import LinearPrior
 from ..definitions.selection import select_by_definition
-from ..kernels import candidates, marginalization, removal, selection, tracking, verification, window
+from ..kernels import assembly, candidates, marginalization, removal, selection, tracking, verification, window
 from ..kernels import information as entropies
 from ..measurement import (
     Agreement,
@@ -26,6 +26,7 @@ from ..measurement import (
     Subset,
     View,
     Views,
+    WindowPairs,
     WindowPoints,
     WindowState,
     WindowSystem,
@@ -104,13 +105,23 @@ class Fused:
         return float(tracking.robust_scale(rms))
 
     def linearise_window(
-        self, views: Views, state: WindowState, points: WindowPoints, pairs: Array, limit: float, noise: Noise
+        self, views: Views, state: WindowState, points: WindowPoints, which: Array, limit: float, noise: Noise,
+        pairs: WindowPairs,
+    ) -> None:  # fmt: skip
+        window.linearise_window(views, state, points, which, limit, noise, pairs)
+
+    def distances(self, pairs: WindowPairs, state: WindowState) -> Array:
+        out: Array = assembly.distances(pairs, state)
+        return out
+
+    def assemble(
+        self, pairs: WindowPairs, state: WindowState, points: WindowPoints, which: Array
     ) -> tuple[float, WindowSystem]:
         system = WindowSystem.empty(*state.inv_depth.shape)
-        return float(window.linearise_window(views, state, points, pairs, limit, noise, system)), system
+        return float(assembly.assemble(pairs, state, points, which, system)), system
 
     def eliminate_depths(self, system: WindowSystem) -> tuple[Array, Array]:
-        out: tuple[Array, Array] = window.eliminate_depths(system)
+        out: tuple[Array, Array] = assembly.eliminate_depths(system)
         return out
 
     def marginalize(self, H: Array, b: Array, marginal: Array) -> LinearPrior:

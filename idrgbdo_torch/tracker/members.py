@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frame import Keyframe
-from ..measurement import WindowPoints, WindowState
+from ..measurement import WindowPairs, WindowPoints, WindowState
 
 Array = NDArray[Any]
 
@@ -18,6 +18,8 @@ class Members(NamedTuple):
 
     keyframes: tuple[Keyframe, ...]
     chosen: tuple[Array, ...]  # the window points of each, among its candidates
+    points: WindowPoints  # those as padded arrays
+    pairs: WindowPairs  # what they say of each other, filled in place
     slots: Array  # (K,) where their images lie in the window's buffers
     T: Array  # (K, 4, 4) T_kf_world
     T_linear: Array  # (K, 4, 4) linearisation points, first estimates once in the prior
@@ -27,22 +29,29 @@ class Members(NamedTuple):
     inv_depth: Array  # (K, N) 1/m of the window points, padded
 
     @staticmethod
-    def none(points: int) -> Members:
-        """No keyframe yet; so many points each."""
+    def none(points: int, patch: int) -> Members:
+        """No keyframe yet; so many points each, with patches of so many pixels."""
         poses, brightness = np.zeros((0, 4, 4)), np.zeros((0, 2))
         numbers, flags = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
-        return Members((), (), numbers, poses, poses, brightness, brightness, flags, np.zeros((0, points)))
+        return Members(
+            (), (), no_points(0, points, patch), WindowPairs.empty(0, points), numbers, poses, poses, brightness,
+            brightness, flags, np.zeros((0, points)),
+        )  # fmt: skip
 
     def __bool__(self) -> bool:
         return len(self.keyframes) > 0
 
     def append(self, keyframe: Keyframe, index: Array, slot: int, T_kf_world: Array, affine: Array) -> Members:
         """One more, at a pose (4, 4) with a brightness (2,); the first of all belongs to the prior, which holds it."""
-        inv_depth = np.zeros((1, self.inv_depth.shape[1]))
+        N = self.inv_depth.shape[1]
+        inv_depth = np.zeros((1, N))
         inv_depth[0, : len(index)] = keyframe.points.inv_depth[index]
+        points = points_of(keyframe, index, N)
         return Members(
             (*self.keyframes, keyframe),
             (*self.chosen, index),
+            WindowPoints(*(np.concatenate(both) for both in zip(self.points, points, strict=True))),
+            self.pairs.grown(),
             np.append(self.slots, slot),
             np.concatenate([self.T, T_kf_world[None]]),
             np.concatenate([self.T_linear, T_kf_world[None]]),
@@ -56,7 +65,8 @@ class Members(NamedTuple):
         """Those of the mask (K,) bool."""
         stays = np.flatnonzero(mask)
         keyframes, chosen = tuple(self.keyframes[k] for k in stays), tuple(self.chosen[k] for k in stays)
-        return Members(keyframes, chosen, *(array[mask] for array in self[2:]))
+        points = WindowPoints(*(array[mask] for array in self.points))
+        return Members(keyframes, chosen, points, self.pairs.keep(mask), *(array[mask] for array in self[4:]))
 
     def state(self, first_estimates: bool) -> WindowState:
         """What is looked for; geometry about the first estimates of what is in the prior, or about the present."""
@@ -64,21 +74,24 @@ class Members(NamedTuple):
         T_linear = np.where(fixed[:, None, None], self.T_linear, self.T)
         return WindowState(self.T, T_linear, self.affine, self.inv_depth)
 
-    def points(self) -> WindowPoints:
-        """The window points of all keyframes as padded arrays."""
-        K, N = self.inv_depth.shape
-        P = self.keyframes[0].points.patch.shape[2]
-        out = WindowPoints(
-            np.zeros((K, N, 2)), np.zeros((K, N, P), np.float32), np.zeros((K, N, P, 2), np.float32),
-            np.ones((K, N)), np.ones((K, N)), np.zeros((K, N), np.bool_), np.zeros((K, N, 2)),
-        )  # fmt: skip
-        for k, (keyframe, index) in enumerate(zip(self.keyframes, self.chosen, strict=True)):
-            n = len(index)
-            out.uv[k, :n] = keyframe.points.uv[index]
-            out.patch[k, :n] = keyframe.points.patch[0, index]
-            out.gradient[k, :n] = keyframe.points.gradient[0, index]
-            out.measured[k, :n] = keyframe.measured[index]
-            out.variance[k, :n] = keyframe.measured_variance[index]
-            out.valid[k, :n] = True
-            out.slope[k, :n] = keyframe.points.slope[index]
-        return out
+
+def no_points(K: int, N: int, patch: int) -> WindowPoints:
+    """Room for N points of K keyframes, none of which is valid."""
+    return WindowPoints(
+        np.zeros((K, N, 2)), np.zeros((K, N, patch), np.float32), np.zeros((K, N, patch, 2), np.float32),
+        np.ones((K, N)), np.ones((K, N)), np.zeros((K, N), np.bool_), np.zeros((K, N, 2)),
+    )  # fmt: skip
+
+
+def points_of(keyframe: Keyframe, index: Array, N: int) -> WindowPoints:
+    """The points (n,) of one keyframe, padded to N."""
+    n, points = len(index), keyframe.points
+    out = no_points(1, N, points.patch.shape[2])
+    out.uv[0, :n] = points.uv[index]
+    out.patch[0, :n] = points.patch[0, index]
+    out.gradient[0, :n] = points.gradient[0, index]
+    out.measured[0, :n] = keyframe.measured[index]
+    out.variance[0, :n] = keyframe.measured_variance[index]
+    out.valid[0, :n] = True
+    out.slope[0, :n] = points.slope[index]
+    return out

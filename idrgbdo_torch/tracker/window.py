@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -11,13 +12,12 @@ from numpy.typing import NDArray
 from ..config import Config
 from ..definitions.marginalization import LinearPrior, prior_cost, prior_gradient
 from ..frame import Keyframe
-from ..kernels.se3 import adjoint, inverse, log_se3, retract
+from ..kernels.se3 import adjoint, increments, inverse, retracted
 from ..kernels.solver import solve_spd
-from ..measurement import STEP, Noise, Views, WindowPoints, WindowSystem
+from ..measurement import STEP, Noise, Views, WindowSystem
 from .backends import Backend
 from .members import Members
 from .smoothing import Departure, departure
-from .systems import Part
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -26,15 +26,22 @@ FIXED = np.array(
     [1e10] * 3 + [1e10] * 3 + [1e6, 1e2]
 )  # information that holds the first keyframe: gauge and brightness
 BRIGHTNESS = np.array([0.0] * 6 + [1.0 / 0.2**2, 1.0 / 20.0**2])  # weak prior of every other keyframe
-ITERATIONS = 4
+ITERATIONS = 2  # the next keyframe goes on
 SETTLED = 1.0  # standard deviations; a smaller step ends the optimisation
 TOLERANCE = (
     1.02  # a step may raise the cost so much: points crossing a limit make it jump by more than the step is worth
 )
-NEAR = 0.5  # standard deviations that old keyframes may move before their pairs are linearised again
+NEAR = 1.0  # standard deviations that a pair may move before it is linearised again
 SMALLEST_SYSTEM = 1e-9  # added to the diagonal: what nothing measures does not move
 PROTECTED = 2  # newest keyframes that stay
 HARDLY_SEEN = 0.05  # share of a keyframe's points in the newest view under which it goes first
+
+
+class Solved(NamedTuple):
+    """How an optimisation ended."""
+
+    system: WindowSystem
+    reduced: Array  # (8K, 8K) of poses and brightness with the prior, as its last step was solved
 
 
 class Window:
@@ -44,10 +51,10 @@ class Window:
         self.config = config
         self.noise = noise
         self.backend = backend
-        self.members = Members.none(config.window_points)
+        self.members = Members.none(config.window_points, config.tracking.patch)
         self.prior = LinearPrior(torch.zeros(0, 0, dtype=torch.float64), torch.zeros(0, dtype=torch.float64))
         self.scale = 1.0  # robust scale of the whitened residuals when the last optimisation ended
-        self.system = WindowSystem.empty(0, 0)  # of the last optimisation
+        self.solved = Solved(WindowSystem.empty(0, 0), np.zeros((0, 0)))
         self.buffers = (np.zeros((0, 0, 0), np.float32), np.zeros((0, 0, 0), np.float32))  # images, depths (S, H, W)
 
     def add(self, keyframe: Keyframe, T_kf_world: Array, relative: Array, index: Index) -> None:
@@ -80,70 +87,66 @@ class Window:
     def deviation(self) -> torch.Tensor:
         """(8K,) of the state from the linearisation points: log(T T_0^-1) and brightness."""
         members = self.members
-        out = np.zeros((len(members.keyframes), STEP))
-        for k in range(len(out)):
-            out[k, :6] = log_se3(members.T[k] @ inverse(members.T_linear[k]))
+        out = np.empty((len(members.keyframes), STEP))
+        out[:, :6] = increments(members.T, members.T_linear)
         out[:, 6:] = members.affine - members.affine_linear
         return torch.from_numpy(out.ravel())
 
-    def linearise(self, points: WindowPoints, pairs: NDArray[np.bool_], limit: float) -> Part:
-        """Cost and normal equations of some pairs (K, K) of host and target at the present state (no prior)."""
+    def linearise(self, which: NDArray[np.bool_], limit: float) -> None:
+        """Take some pairs (K, K) of host and target at the present state."""
         members = self.members
         views = Views(*self.buffers, members.slots, members.keyframes[0].frame.intrinsics[0])
         state = members.state(self.config.window.first_estimates)
-        return Part(*self.backend.linearise_window(views, state, points, pairs, limit, self.noise))
+        self.backend.linearise_window(views, state, members.points, which, limit, self.noise, self.members.pairs)
+
+    def assemble(self, which: NDArray[np.bool_]) -> tuple[float, WindowSystem]:
+        """Cost and normal equations of some pairs (K, K) at the present state, as taken before."""
+        return self.backend.assemble(self.members.pairs, self.members.state(False), self.members.points, which)
+
+    def equations(self, limit: float) -> tuple[float, WindowSystem]:
+        """Cost and normal equations at the present state, with the prior's cost only.
+
+        A pair is taken when it is new, and again when it has moved too far for what it said there.
+        """
+        if (far := self.backend.distances(self.members.pairs, self.members.state(False)) > NEAR**2).any():
+            self.linearise(far, limit)
+        energy, system = self.assemble(np.ones_like(self.members.pairs.taken))
+        return energy + self.prior_energy(), system
 
     def optimise(self) -> int:
-        """Damped Gauss-Newton over the whole window; returns the iterations.
-
-        What the newest keyframe has no part in has been optimised before and hardly moves: it is linearised again only
-        where it does.
-        """
-        K = len(self.members.keyframes)
-        if K < 2:
+        """Damped Gauss-Newton over the whole window; returns the iterations."""
+        if len(self.members.keyframes) < 2:
             return 0
-        points = self.members.points()
         limit = self.config.noise.outlier * self.scale
-        newest = np.zeros((K, K), dtype=np.bool_)
-        newest[-1, :] = newest[:, -1] = True
-        others = self.linearise(points, ~newest, limit)
-        now = self.linearise(points, newest, limit) + others
-        energy = now.energy + self.prior_energy()
-        # from where the others were taken
-        away, depths_away = np.zeros(STEP * K), np.zeros_like(self.members.inv_depth)
+        energy, system = self.equations(limit)
         damping = 0.0
         iteration = 0
         while iteration < ITERATIONS:
             iteration += 1
-            H, b = self.backend.eliminate_depths(now.system)
+            H, b = self.backend.eliminate_depths(system)
             H += self.prior.H.numpy()
             b += prior_gradient(self.prior, self.deviation()).numpy()
+            reduced = H.copy()
             H[np.diag_indices_from(H)] *= 1.0 + damping
             H[np.diag_indices_from(H)] += SMALLEST_SYSTEM
             solved, step = solve_spd(H, b)
             if not solved:
                 break
-            saved, depths = self.members, depth_step(now.system, step)
-            self.members = moved(saved, step, depths)
-            if others.moved(away + step, depths_away + depths) > NEAR**2:
-                others_there = self.linearise(points, ~newest, limit)
-                away_there, depths_there = np.zeros_like(away), np.zeros_like(depths)
-            else:
-                others_there, away_there, depths_there = others, away + step, depths_away + depths
-            there = self.linearise(points, newest, limit) + others_there.at(away_there, depths_there)
-            new_energy = there.energy + self.prior_energy()
+            saved = self.members
+            self.members = moved(saved, step, depth_step(system, step))
+            new_energy, there = self.equations(limit)
             if np.isfinite(new_energy) and new_energy <= energy * TOLERANCE:
-                energy, now = new_energy, there
-                others, away, depths_away = others_there, away_there, depths_there
+                energy, system = new_energy, there
                 damping *= 0.25
             else:
                 self.members = saved
+                energy, system = self.equations(limit)
                 damping = max(4.0 * damping, 1e-2)
             if step @ b < SETTLED**2:
                 break
-        self.scale = max(1.0, self.backend.robust_scale(now.system.rms.ravel()))
-        self.members = with_refined_points(self.members, now.system)
-        self.system = now.system
+        self.scale = max(1.0, self.backend.robust_scale(self.members.pairs.rms.ravel()))
+        self.members = with_refined_points(self.members, system)
+        self.solved = Solved(system, reduced)
         return iteration
 
     def prior_energy(self) -> float:
@@ -161,10 +164,9 @@ class Window:
         return removed
 
     def pose_information(self) -> Array:
-        """(6K, 6K) of the poses as the last optimisation ended, with the prior; depths and brightness are marginal."""
-        H, b = self.backend.eliminate_depths(self.system)
-        H += self.prior.H.numpy()
-        return self.backend.marginalize(H, b, np.arange(len(b)) % STEP >= 6).H.numpy()
+        """(6K, 6K) of the poses in the last optimisation, with the prior; depths and brightness are marginal."""
+        n = len(self.solved.reduced)
+        return self.backend.marginalize(self.solved.reduced, np.zeros(n), np.arange(n) % STEP >= 6).H.numpy()
 
     def least_useful(self, information: Array) -> int:
         """The keyframe to remove: one that the newest hardly sees, else as configured; never one of the newest.
@@ -173,7 +175,7 @@ class Window:
         """
         members = self.members
         K = len(members.keyframes)
-        seen = (self.system.rms[:, :, -1] >= 0.0).sum(axis=1) / np.maximum([len(i) for i in members.chosen], 1)
+        seen = (self.members.pairs.rms[:, -1] >= 0.0).sum(axis=1) / np.maximum([len(i) for i in members.chosen], 1)
         for k in range(K - PROTECTED):
             if seen[k] < HARDLY_SEEN:
                 return k
@@ -198,7 +200,7 @@ class Window:
         """
         T, K = self.members.T, len(self.members.keyframes)
         adjoints = np.stack([adjoint(T[-1] @ inverse(T[k])) for k in range(K)])
-        blocks = self.system.H.reshape(K, STEP, K, STEP)[-1, :6, :, :6].transpose(1, 0, 2)
+        blocks = self.solved.system.H.reshape(K, STEP, K, STEP)[-1, :6, :, :6].transpose(1, 0, 2)
         links = -blocks @ np.linalg.inv(adjoints)
         links[-1] = links[-2]
         values, vectors = np.linalg.eigh(0.5 * (links + links.transpose(0, 2, 1)))
@@ -213,7 +215,7 @@ class Window:
         K = len(self.members.keyframes)
         hosts = np.arange(K) == k
         pairs = np.repeat(hosts[:, None], K, axis=1)
-        system = self.linearise(self.members.points(), pairs, self.config.noise.outlier).system
+        _, system = self.assemble(pairs)
         H, b = self.backend.eliminate_depths(system)
         touched = np.abs(H).reshape(K, STEP, -1).sum(axis=(1, 2)) > 0.0
         fresh = touched & ~self.members.in_prior
@@ -228,9 +230,9 @@ class Window:
 
 def moved(members: Members, step: Array, depth_step: Array) -> Members:
     """The members after increments: step (8K,) of poses and brightness, depth_step (K, N) of inverse depths."""
-    K = len(members.keyframes)
-    T = np.stack([retract(step[STEP * k : STEP * k + 6], members.T[k]) for k in range(K)])
-    affine = members.affine + step.reshape(K, STEP)[:, 6:]
+    by_keyframe = step.reshape(-1, STEP)
+    T = retracted(by_keyframe[:, :6], members.T)
+    affine = members.affine + by_keyframe[:, 6:]
     return members._replace(T=T, affine=affine, inv_depth=members.inv_depth + depth_step)
 
 

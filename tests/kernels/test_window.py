@@ -24,8 +24,18 @@ from idrgbdo_torch.definitions.photometric import (
     warp,
 )
 from idrgbdo_torch.definitions.solver import huber_weight, normal_equations, robust_cost
-from idrgbdo_torch.kernels.window import eliminate_depths, linearise_window
-from idrgbdo_torch.measurement import STEP, Noise, Views, WindowPoints, WindowState, WindowSystem, kernel_noise
+from idrgbdo_torch.kernels.assembly import assemble, distances, eliminate_depths
+from idrgbdo_torch.kernels.window import linearise_window
+from idrgbdo_torch.measurement import (
+    STEP,
+    Noise,
+    Views,
+    WindowPairs,
+    WindowPoints,
+    WindowState,
+    WindowSystem,
+    kernel_noise,
+)
 
 P = len(PATTERN)
 K, N = 3, 6  # keyframes, points of each
@@ -95,20 +105,29 @@ def scene() -> Scene:
     return Scene(images, depths, slots, points, near(0.003), near(0.005))
 
 
+def views(scene: Scene) -> Views:
+    return Views(scene.images, scene.depths, scene.slots, CAM)
+
+
+def as_arrays(state: State, linear: State) -> WindowState:
+    return WindowState(state.T.numpy(), linear.T.numpy(), state.affine.numpy(), state.inv_depth.numpy())
+
+
 def fused(
     scene: Scene, linear: State, pairs: np.ndarray, limit: float, noise: Noise
 ) -> tuple[Tensor, Tensor, float, np.ndarray]:
-    """The kernel's normal equations as one dense system, its energy and the points' rms."""
-    system, views = WindowSystem.empty(K, N), Views(scene.images, scene.depths, scene.slots, CAM)
-    for part in system:
+    """The kernels' normal equations as one dense system, their energy and the points' rms (host, point, target)."""
+    system, taken = WindowSystem.empty(K, N), WindowPairs.empty(K, N)
+    for part in (*system, *(part for part in taken if part.dtype != np.bool_)):
         part[...] = np.nan  # whatever was there before must not matter
-    T, affine, inv_depth = (x.numpy() for x in (scene.state.T, scene.state.affine, scene.state.inv_depth))
-    state = WindowState(T, linear.T.numpy(), affine, inv_depth)
-    energy = linearise_window(views, state, scene.points, pairs, limit, noise, system)
+    taken.rms[:] = -1.0
+    state = as_arrays(scene.state, linear)
+    linearise_window(views(scene), state, scene.points, pairs, limit, noise, taken)
+    energy = assemble(taken, state, scene.points, pairs, system)
     cross = system.cross.reshape(K * N, STEP * K)
     whole = np.block([[system.H, cross.T], [cross, np.diag(system.Hd.ravel())]])
     rhs = np.concatenate([system.b, system.bd.ravel()])
-    return torch.from_numpy(whole), torch.from_numpy(rhs), energy, system.rms
+    return torch.from_numpy(whole), torch.from_numpy(rhs), energy, taken.rms.transpose(0, 2, 1)
 
 
 def by_definition(
@@ -241,3 +260,39 @@ def test_eliminating_the_depths_is_dense_elimination(scene: Scene) -> None:
     torch.testing.assert_close(torch.from_numpy(reduced), expected, rtol=0, atol=1e-12 * float(H[:n, :n].abs().max()))
     expected = b[:n] - H[:n, known] @ torch.linalg.solve(H[known][:, known], b[known])
     torch.testing.assert_close(torch.from_numpy(rhs), expected, rtol=0, atol=1e-12 * float(b[:n].abs().max()))
+
+
+def test_what_pairs_said_goes_along_with_the_state(scene: Scene) -> None:
+    """The energy changes with every variable as the right sides say, and is nearly what it is at a state nearby."""
+    noise, limit = kernel_noise(NoiseConfig(gradient_blend=0.0)), 1e9
+    everything = np.ones((K, K), dtype=np.bool_)
+
+    def at(state: State, taken: WindowPairs | None = None) -> tuple[float, WindowSystem, WindowPairs]:
+        arrays = as_arrays(state, state)
+        if taken is None:
+            taken = WindowPairs.empty(K, N)
+            linearise_window(views(scene), arrays, scene.points, everything, limit, noise, taken)
+        system = WindowSystem.empty(K, N)
+        return assemble(taken, arrays, scene.points, everything, system), system, taken
+
+    _, start, taken = at(scene.state)
+    rhs = np.concatenate([start.b, start.bd.ravel()])
+    diagonal = np.concatenate([np.diag(start.H), start.Hd.ravel()])
+    for k in np.flatnonzero(diagonal > 0):
+        step = torch.zeros(len(rhs), dtype=torch.float64)
+        step[k] = 1e-3 / diagonal[k] ** 0.5
+        more, less = (at(scene.state.moved(sign * step), taken)[0] for sign in (1, -1))
+        assert (more - less) / (2 * step[k]) == pytest.approx(-2 * rhs[k], rel=1e-3, abs=1e-4 * diagonal[k] ** 0.5)
+
+    step = torch.from_numpy(np.random.default_rng(0).standard_normal(len(rhs)) / np.sqrt(np.maximum(diagonal, 1e-9)))
+    step[torch.from_numpy(diagonal == 0)] = 0.0
+    moved = scene.state.moved(step)
+    (energy, _, _), (expected, _, fresh) = at(moved, taken), at(moved)
+    assert energy == pytest.approx(expected, rel=0.01)
+    far = distances(taken, as_arrays(moved, moved))
+    assert (far[~np.eye(K, dtype=np.bool_)] > 0).all() and (np.diag(far) == 0).all()
+    assert (distances(fresh, as_arrays(moved, moved)) < 1e-12).all()
+    two = WindowPairs(*(array[:2, :2] for array in taken))
+    one_more = distances(two.grown(), as_arrays(moved, moved))
+    np.testing.assert_array_equal(one_more[:2, :2], far[:2, :2])
+    assert np.isinf(one_more[2, :2]).all() and np.isinf(one_more[:2, 2]).all() and one_more[2, 2] == 0

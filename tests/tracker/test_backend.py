@@ -30,6 +30,7 @@ from idrgbdo_torch.measurement import (
     Subset,
     View,
     Views,
+    WindowPairs,
     WindowSystem,
 )
 from idrgbdo_torch.tracker.alignment import recover
@@ -186,7 +187,7 @@ def test_window(windows: Desk, limit: float, use_depth: bool, first_estimates: b
     members = refined.members
     off = 0.01 * np.random.default_rng(0).standard_normal(members.affine.shape) * [1, 100]
     state = members._replace(affine=members.affine + off).state(first_estimates=False)
-    points = members.points()
+    points = members.points
     points.valid[1, -3:] = False
     pairs = np.random.default_rng(1).random((5, 5)) < 0.7
     pairs[2] = False
@@ -196,21 +197,30 @@ def test_window(windows: Desk, limit: float, use_depth: bool, first_estimates: b
     noise = NOISE._replace(use_depth=use_depth)
     views = Views(*refined.buffers, members.slots, members.keyframes[0].frame.intrinsics[0])
 
-    def linearised(backend: Backend) -> tuple[float, WindowSystem]:
-        return backend.linearise_window(views, state, points, pairs, limit, noise)
+    on = members._replace(affine=state.affine + 0.01, inv_depth=1.001 * state.inv_depth).state(first_estimates=False)
 
-    energy, fused = linearised(FUSED)
-    energy_mine, mine = linearised(TORCH)
+    def linearised(backend: Backend) -> tuple[float, WindowSystem, WindowPairs]:
+        """Taken at one state, assembled at another."""
+        taken = WindowPairs.empty(*state.inv_depth.shape)
+        backend.linearise_window(views, state, points, pairs, limit, noise, taken)
+        return *backend.assemble(taken, on, points, pairs), taken
+
+    energy, fused, taken = linearised(FUSED)
+    energy_mine, mine, taken_mine = linearised(TORCH)
     assert energy_mine == pytest.approx(energy, rel=1e-10)
+    assert np.array_equal(taken_mine.taken, taken.taken) and np.array_equal(taken.taken, pairs & ~np.eye(5, dtype=bool))
+    far = FUSED.distances(taken, on)
+    close(TORCH.distances(taken, on), far)
+    assert np.isinf(far[~taken.taken & ~np.eye(5, dtype=bool)]).all() and (far[taken.taken] > 0).all()
     unit, unit_d = np.maximum(np.diag(fused.H), 1e-9) ** -0.5, np.maximum(fused.Hd, 1e-9) ** -0.5
     close(unit[:, None] * mine.H * unit, unit[:, None] * fused.H * unit)
     close(unit * mine.b, unit * fused.b)
     close(mine.Hd, fused.Hd)
     close(unit_d * mine.bd, unit_d * fused.bd)
     close(unit_d[..., None] * mine.cross * unit, unit_d[..., None] * fused.cross * unit)
-    close(mine.rms, fused.rms)
-    seen = fused.rms >= 0
-    assert seen.any() and (limit > 1e3 or 0 < (fused.rms[seen] > limit).sum() < seen.sum())
+    close(taken_mine.rms, taken.rms)
+    seen = taken.rms >= 0
+    assert seen.any() and (limit > 1e3 or 0 < (taken.rms[seen] > limit).sum() < seen.sum())
     for reduced, expected in zip(TORCH.eliminate_depths(fused), FUSED.eliminate_depths(fused), strict=True):
         close(reduced, expected, 1e-12)
 
@@ -340,6 +350,6 @@ def test_smaller_patches_are_smaller_everywhere_and_the_same(sequence: Film, pat
     off = (fused.trajectory().positions - mine.trajectory().positions).norm(dim=1)
     assert off.max() < limit
     assert odometry.reference is not None and odometry.reference.keyframe.points.patch.shape[2] == patch
-    assert odometry.window.members.points().patch.shape[2] == patch and odometry.noise.shared == patch
+    assert odometry.window.members.points.patch.shape[2] == patch and odometry.noise.shared == patch
     whole = run(IdRgbdo(replace(Config(), keyframe=often)), frames).trajectory().positions
     assert 1e-5 < float((fused.trajectory().positions - whole).norm(dim=1).max()) < 0.01

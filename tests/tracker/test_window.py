@@ -24,7 +24,9 @@ def keyed(desk: Film) -> Desk:
 
 def cost(window: Window, limit: float = 1e9) -> float:
     K = len(window.members.keyframes)
-    energy, _ = window.linearise(window.members.points(), np.ones((K, K), dtype=np.bool_), limit)
+    everything = np.ones((K, K), dtype=np.bool_)
+    window.linearise(everything, limit)
+    energy, _ = window.assemble(everything)
     return energy + 2 * float(prior_cost(window.prior, window.deviation()))
 
 
@@ -65,7 +67,9 @@ def test_one_keyframe_has_nothing_to_refine(keyed: Desk) -> None:
 
 def test_schur_step_is_the_dense_step(keyed: Desk) -> None:
     window = keyed.window(4, 3 * MM, 0.1 * DEGREE)
-    _, system = window.linearise(window.members.points(), np.ones((4, 4), dtype=np.bool_), 1e9)
+    everything = np.ones((4, 4), dtype=np.bool_)
+    window.linearise(everything, 1e9)
+    _, system = window.assemble(everything)
     prior = window.prior.H.numpy()
     H, b = FUSED.eliminate_depths(system)
     step = np.linalg.solve(H + prior, b)

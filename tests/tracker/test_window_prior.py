@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from rendered import Film
-from window_cases import CONFIG, DEGREE, FUSED, MM, Desk, make_desk, twists
+from window_cases import CONFIG, DEGREE, MM, Desk, make_desk, twists
 
 from idrgbdo_torch.config import WindowConfig
 from idrgbdo_torch.definitions import se3
@@ -46,8 +46,7 @@ def test_removal_takes_the_most_redundant_or_the_oldest(keyed: Desk) -> None:
     window = keyed.window(6, config=replace(CONFIG, window=WindowConfig(keyframes=5, removal="information")))
     window.optimise()
     k = window.least_useful(window.pose_information())
-    H, _ = FUSED.eliminate_depths(window.system)
-    H += window.prior.H.numpy()
+    H = window.solved.reduced
     brightness = np.arange(len(H)) % STEP >= 6
     poses = np.linalg.inv(np.linalg.inv(H)[~brightness][:, ~brightness])
     psi = redundancy_bits(torch.from_numpy(0.5 * (poses + poses.T)))
@@ -65,7 +64,7 @@ def test_removal_takes_who_tells_the_next_view_least(keyed: Desk) -> None:
     T = window.members.T
     links = []
     for k in [0, 1, 2, 3, 4, 4]:  # of the last pair also as those of the view and the newest
-        A = -window.system.H[STEP * 5 : STEP * 5 + 6, STEP * k : STEP * k + 6] @ np.linalg.inv(
+        A = -window.solved.system.H[STEP * 5 : STEP * 5 + 6, STEP * k : STEP * k + 6] @ np.linalg.inv(
             adjoint(T[5] @ inverse(T[k]))
         )
         links.append(0.5 * (A + A.T))
@@ -89,10 +88,10 @@ def test_removal_takes_who_tells_the_next_view_least(keyed: Desk) -> None:
 def test_a_keyframe_out_of_sight_goes_first(keyed: Desk) -> None:
     window = keyed.window(6)
     window.optimise()
-    window.system.rms[2, :, -1] = -1.0  # none of its points is seen by the newest
+    window.members.pairs.rms[2, -1] = -1.0  # none of its points is seen by the newest
     assert window.least_useful(window.pose_information()) == 2
-    window.system.rms[4, :, -1] = -1.0  # protected
-    window.system.rms[2, :, -1] = 1.0
+    window.members.pairs.rms[4, -1] = -1.0  # protected
+    window.members.pairs.rms[2, -1] = 1.0
     assert window.least_useful(window.pose_information()) < 4
 
 
@@ -105,7 +104,7 @@ def test_marginalising_is_dense_elimination_of_its_points_and_itself(keyed: Desk
         K = len(window.members.keyframes)
         hosts = np.arange(K) == k
         pairs = np.repeat(hosts[:, None], K, axis=1)
-        _, system = window.linearise(window.members.points(), pairs, CONFIG.noise.outlier)
+        _, system = window.assemble(pairs)
         cross = system.cross.reshape(-1, STEP * K)
         pull = prior_gradient(window.prior, window.deviation()).numpy()
         H = np.block([[system.H + window.prior.H.numpy(), cross.T], [cross, np.diag(system.Hd.ravel())]])
@@ -172,7 +171,10 @@ def test_first_estimates_do_not_move(keyed: Desk, first_estimates: bool) -> None
     kept = np.delete(np.arange(5), 1)
     np.testing.assert_array_equal(window.members.T_linear[: len(kept)][fixed[kept]], linear[kept][fixed[kept]])
     assert window.deviation().abs().max() > 0
-    _, at_state = window.linearise(window.members.points(), np.ones((5, 5), dtype=np.bool_), 1e9)
+    everything = np.ones((5, 5), dtype=np.bool_)
+    window.linearise(everything, 1e9)
+    _, at_state = window.assemble(everything)
     window.members = window.members._replace(T_linear=window.members.T.copy())
-    _, relinearised = window.linearise(window.members.points(), np.ones((5, 5), dtype=np.bool_), 1e9)
+    window.linearise(everything, 1e9)
+    _, relinearised = window.assemble(everything)
     assert np.array_equal(at_state.H, relinearised.H) != first_estimates
