@@ -80,7 +80,7 @@ class WindowConfig:
 
     enabled: bool = True
     keyframes: Annotated[int, Bounds(3, 64)] = 8
-    points: Index = 96  # refined of each keyframe; 0: as many as selection.points
+    points: Index = 144  # refined of each keyframe; 0: as many as selection.points
     first_estimates: bool = True  # geometric Jacobians of variables in the prior stay where they were first taken
     removal: Literal["view", "information", "oldest"] = "view"  # who tells the next view least; Eq. 26; the oldest
 

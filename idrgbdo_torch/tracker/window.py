@@ -97,19 +97,21 @@ class Window:
         members = self.members
         views = Views(*self.buffers, members.slots, members.keyframes[0].frame.intrinsics[0])
         state = members.state(self.config.window.first_estimates)
-        self.backend.linearise_window(views, state, members.points, which, limit, self.noise, self.members.pairs)
+        self.backend.linearise_window(views, state, members.points, which, limit, self.noise, members.pairs)
+
+    def take(self, limit: float) -> bool:
+        """Take pairs that are new, or have moved too far for what they said; whether there were any."""
+        far = self.backend.distances(self.members.pairs, self.members.state(False)) > NEAR**2
+        if some := bool(far.any()):
+            self.linearise(far, limit)
+        return some
 
     def assemble(self, which: NDArray[np.bool_]) -> tuple[float, WindowSystem]:
-        """Cost and normal equations of some pairs (K, K) at the present state, as taken before."""
+        """Cost and normal equations of some pairs (K, K) at the present state, as they were taken."""
         return self.backend.assemble(self.members.pairs, self.members.state(False), self.members.points, which)
 
-    def equations(self, limit: float) -> tuple[float, WindowSystem]:
-        """Cost and normal equations at the present state, with the prior's cost only.
-
-        A pair is taken when it is new, and again when it has moved too far for what it said there.
-        """
-        if (far := self.backend.distances(self.members.pairs, self.members.state(False)) > NEAR**2).any():
-            self.linearise(far, limit)
+    def equations(self) -> tuple[float, WindowSystem]:
+        """Cost at the present state, and normal equations without the prior's."""
         energy, system = self.assemble(np.ones_like(self.members.pairs.taken))
         return energy + self.prior_energy(), system
 
@@ -118,7 +120,8 @@ class Window:
         if len(self.members.keyframes) < 2:
             return 0
         limit = self.config.noise.outlier * self.scale
-        energy, system = self.equations(limit)
+        self.take(limit)
+        energy, system = self.equations()
         damping = 0.0
         iteration = 0
         while iteration < ITERATIONS:
@@ -134,13 +137,16 @@ class Window:
                 break
             saved = self.members
             self.members = moved(saved, step, depth_step(system, step))
-            new_energy, there = self.equations(limit)
+            if not self.take(limit):
+                break  # the same equations, which are solved
+            new_energy, there = self.equations()
             if np.isfinite(new_energy) and new_energy <= energy * TOLERANCE:
                 energy, system = new_energy, there
                 damping *= 0.25
             else:
                 self.members = saved
-                energy, system = self.equations(limit)
+                self.take(limit)
+                energy, system = self.equations()
                 damping = max(4.0 * damping, 1e-2)
             if step @ b < SETTLED**2:
                 break
