@@ -18,6 +18,7 @@ from ..odometry import Status, TrackResult
 from .alignment import align, displacement
 from .backends import backend_named
 from .carried import Carried
+from .elders import held_against
 from .history import History
 from .inspection import Shown
 from .instant import steady, takes_time
@@ -30,7 +31,7 @@ from .reference import Reference
 from .results import held, joins, measured
 from .selection import select_points, view_margin
 from .tracking import KEYFRAME_GAP, Pair, Tracked, motion_information
-from .verification import LIMITS, Verdict, obstructed, unsure
+from .verification import LIMITS, Verdict, doubtful
 from .warmup import warm_up
 from .window import Window
 
@@ -82,7 +83,7 @@ class IdRgbdo(Shown):
         dt = motion.gap(frame.timestamp)
         entropies = self.backend.freedom_entropies(tracked.information)
         after_loss = "the frame before was lost" if self.lost_in_a_row else ""
-        reason = verdict.doubt(LIMITS.weak) or obstructed(verdict) or unsure(entropies) or after_loss or motion.doubt
+        reason = doubtful(verdict, reference.keyframe.intruded, entropies) or after_loss or motion.doubt
         reference.entropies.append(entropies)
         reference.affine = tracked.affine
         motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame, 0.0 if self.lost_in_a_row else dt)
@@ -111,7 +112,7 @@ class IdRgbdo(Shown):
         """The same; or anew, against the segment's first keyframe without a thing that turns out to move with us."""
         carried = self.motion.carried
         if carried is None or (keyframe := carried.seen_in(frame, verdict, self.noise, self.backend)) is None:
-            return tracked, verdict
+            return held_against(frame, self.window.members, self.noise, self.backend, tracked, verdict)
         self._leave_window()
         self.history.forget(carried.number)
         self.motion.begin(carried.T_kf_world)
@@ -178,7 +179,7 @@ class IdRgbdo(Shown):
     def _keyframe(self, frame: Frame, T_frame_world: Array | None = None) -> Keyframe | None:
         """A keyframe of a frame at a pose, None where it has too few candidates."""
         keyframe: Keyframe | None = make_keyframe(frame, self.config, self.rng, self.backend)
-        if keyframe and T_frame_world is not None and self.motion.explained:
+        if keyframe and T_frame_world is not None and self.motion.knows_what_intrudes:
             keyframe = without_intruder(keyframe, self.window_keyframes(), T_frame_world)
         return keyframe if keyframe and len(keyframe.points.uv) >= FEWEST_CANDIDATES else None
 

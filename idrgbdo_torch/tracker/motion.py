@@ -49,6 +49,13 @@ class Motion:
         return self.T_cam_world if self.said is None else self.said
 
     @property
+    def knows_what_intrudes(self) -> bool:
+        """Whether the last pose can tell what stands where nothing was: it explains the rest, or something does stand
+        there, which is worse to take for the world than the world for it.
+        """
+        return self.explained or self.contested
+
+    @property
     def doubt(self) -> str:
         """Why a pose is not to be believed that explains what is in view, empty where it is."""
         return "" if self.carried is None else self.carried.doubt
