@@ -33,6 +33,7 @@ from ..measurement import Noise, Points, WindowPairs, WindowPoints, WindowSystem
 from ..odometry import ConstantVelocity, Odometry, Record, Status, TrackResult
 from ..text import configfile
 from ..tracker.backends import BACKENDS
+from ..tracker.carried import Carried
 from ..tracker.features import Features
 from ..tracker.history import History
 from ..tracker.id_rgbdo import IdRgbdo
@@ -57,9 +58,9 @@ COUNT_BYTES = 8  # of the length of the text
 TYPES = (  # what a state may be made of; a new type in the tracker's state has to be named here
     Config, NoiseConfig, SelectionConfig, TrackingConfig, KeyframeConfig, WindowConfig,
     Pinhole, LinearPrior, RgbdFrame, Frame, Keyframe, Noise, Points, WindowPoints,
-    WindowPairs, WindowSystem, Features, Place, Places, Departure, Motion, Reference, History, Members,
-    Status, TrackResult, Record, Records, Column, Departures, ConstantVelocity, IdRgbdo, Cloud, Kept, Tracked, Window,
-    Solved,
+    WindowPairs, WindowSystem, Solved, Features, Place, Places, Departure, Motion, Carried, Reference, History,
+    Members, Status, TrackResult, Record, Records, Column, Departures, ConstantVelocity, IdRgbdo, Cloud, Kept,
+    Tracked, Window,
 )  # fmt: skip
 CONSTANTS = {f"backend {name}": backend for name, backend in BACKENDS.items()}
 

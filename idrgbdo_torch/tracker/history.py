@@ -91,6 +91,18 @@ class History:
         if departure is not None:
             self.departures.append(number, self.in_window, departure)
 
+    def leave_all(self, keyframes: Sequence[Keyframe]) -> None:
+        """What comes next is tied to none of the keyframes that are still in the window."""
+        for keyframe in keyframes:
+            self.leave(0, keyframe)
+
+    def forget(self, number: int) -> None:
+        """Keyframes from this number on showed what is not the world: nothing of them is mapped or looked for."""
+        for n in range(number, len(self.clouds)):
+            self.points -= len(self.clouds[n].xyz)
+            self.clouds[n] = KEPT_NOTHING
+        self.places.kept = [place for place in self.places.kept if place.number < number]
+
     def condense(self) -> None:
         """Keep the map within its bounds."""
         if self.points > LIMIT:

@@ -17,28 +17,26 @@ from ..measurement import Noise, State, kernel_noise, with_blur
 from ..odometry import Status, TrackResult
 from .alignment import align, displacement
 from .backends import backend_named
+from .carried import Carried
+from .elders import held_against
 from .history import History
 from .inspection import Shown
 from .instant import steady, takes_time
 from .intruder import blocked, without_intruder
-from .keyframe import make_keyframe, wants_keyframe
+from .keyframe import FEWEST_CANDIDATES, make_keyframe, wants_keyframe
 from .mapping import NOTHING, keyframe_cloud
-from .motion import Motion, turn_rate
+from .motion import PATIENCE, Motion, turn_rate
 from .recovery import find_in_places, find_in_window
 from .reference import Reference
 from .results import held, joins, measured
 from .selection import select_points, view_margin
-from .tracking import Pair, Tracked, motion_information
-from .verification import LIMITS, Verdict, obstructed, unsure
+from .tracking import KEYFRAME_GAP, Pair, Tracked, motion_information
+from .verification import LIMITS, Verdict, doubtful
 from .warmup import warm_up
 from .window import Window
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-
-FEWEST_CANDIDATES = 16  # that make a keyframe
-PATIENCE = 3  # lost frames in a row before a new segment starts
-KEYFRAME_GAP = 1.0 / 30.0  # s, gap of the motion prior that a new keyframe's points are chosen with
 
 
 class IdRgbdo(Shown):
@@ -76,6 +74,7 @@ class IdRgbdo(Shown):
         tracked, verdict = self._align(frame, self.reference)
         if takes_time(rgbd.camera) and not verdict.doubt(LIMITS.lost):
             frame, tracked, verdict = self._steadied(rgbd, tracked, self.reference)
+        tracked, verdict = self._beside(frame, tracked, verdict)
         if verdict.doubt(LIMITS.weak) and self._late_keyframe(frame, verdict):
             tracked, verdict = self._align(frame, self.reference)
         reference, motion = self.reference, self.motion
@@ -84,7 +83,7 @@ class IdRgbdo(Shown):
         dt = motion.gap(frame.timestamp)
         entropies = self.backend.freedom_entropies(tracked.information)
         after_loss = "the frame before was lost" if self.lost_in_a_row else ""
-        reason = verdict.doubt(LIMITS.weak) or obstructed(verdict) or unsure(entropies) or after_loss
+        reason = doubtful(verdict, reference.keyframe.intruded, entropies) or after_loss or motion.doubt
         reference.entropies.append(entropies)
         reference.affine = tracked.affine
         motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame, 0.0 if self.lost_in_a_row else dt)
@@ -108,6 +107,18 @@ class IdRgbdo(Shown):
             self._start_segment(still[0], "")
         self.motion.first = None
         return still[-1], *self._align(still[-1], self.reference or reference)
+
+    def _beside(self, frame: Frame, tracked: Tracked, verdict: Verdict) -> tuple[Tracked, Verdict]:
+        """The same; or anew, against the segment's first keyframe without a thing that turns out to move with us."""
+        carried = self.motion.carried
+        if carried is None or (keyframe := carried.seen_in(frame, verdict, self.noise, self.backend)) is None:
+            return held_against(frame, self.window.members, self.noise, self.backend, tracked, verdict)
+        self._leave_window()
+        self.history.forget(carried.number)
+        self.motion.begin(carried.T_kf_world)
+        reference = self._adopt(keyframe)
+        self.motion.begin(carried.T_frame_kf @ carried.T_kf_world)
+        return self._align(frame, reference)
 
     def _align(self, frame: Frame, reference: Reference) -> tuple[Tracked, Verdict]:
         """A frame against the newest keyframe, from where it is expected."""
@@ -134,9 +145,8 @@ class IdRgbdo(Shown):
         Where this one is lost it becomes one in any case, as what is seen again is most likely the last that was seen.
         """
         last, turn = self.motion.frame, self.motion.turn
-        if last is None or last.timestamp == self.history.keyframe_times[-1]:
-            return False
-        if (keyframe := self._keyframe(last, self.motion.T_cam_world)) is None:
+        known = last is None or last.timestamp == self.history.keyframe_times[-1]
+        if last is None or known or (keyframe := self._keyframe(last, self.motion.T_cam_world)) is None:
             return False
         prior = motion_information(self.config, KEYFRAME_GAP)
         index = self._select(keyframe, np.eye(4), self.config.selection.points, prior, self.noise)
@@ -168,13 +178,12 @@ class IdRgbdo(Shown):
 
     def _keyframe(self, frame: Frame, T_frame_world: Array | None = None) -> Keyframe | None:
         """A keyframe of a frame at a pose, None where it has too few candidates."""
-        made = make_keyframe(frame, self.config, self.rng, self.backend)
-        keyframe: Keyframe | None = made
-        if T_frame_world is not None and self.motion.explained:
-            keyframe = without_intruder(made, self.window_keyframes(), T_frame_world)
+        keyframe: Keyframe | None = make_keyframe(frame, self.config, self.rng, self.backend)
+        if keyframe and T_frame_world is not None and self.motion.knows_what_intrudes:
+            keyframe = without_intruder(keyframe, self.window_keyframes(), T_frame_world)
         return keyframe if keyframe and len(keyframe.points.uv) >= FEWEST_CANDIDATES else None
 
-    def _adopt(self, keyframe: Keyframe, T_kf_previous: Array | None = None) -> None:
+    def _adopt(self, keyframe: Keyframe, T_kf_previous: Array | None = None) -> Reference:
         """Choose a keyframe's points, add it to the window and to history, and track against it from now on.
 
         T_kf_previous: its pose as tracked against the keyframe before, None where it was not.
@@ -191,6 +200,7 @@ class IdRgbdo(Shown):
         self.history.condense()
         self.reference = Reference(keyframe, self.motion.T_cam_world, self.motion.turn, index)
         self.history.remember(keyframe, self.backend)
+        return self.reference
 
     def _refine(self, keyframe: Keyframe, index: Index) -> Keyframe:
         """Add a keyframe to the window, optimise, shrink; the present pose and its velocity follow."""
@@ -214,16 +224,16 @@ class IdRgbdo(Shown):
         self.motion.T_cam_world = self.motion.shown
         self.history.segment = 0 if first else self.history.new_segment()
         self._adopt(keyframe)
+        self.motion.carried = Carried.of(keyframe, self.motion.T_cam_world, len(self.history.keyframe_poses) - 1)
         self.motion.time, self.lost_in_a_row = frame.timestamp, 0
         reason = "" if first else "a new segment starts here, at the last known pose"
         return replace(self._held(frame, Status.OK if first else Status.LOST, reason), keyframe=True)
 
     def _leave_window(self) -> None:
         """What comes next is not tied to the keyframes so far."""
-        for old in self.window.members.keyframes:
-            self.history.leave(0, old)
+        self.history.leave_all(self.window.members.keyframes)
         self.window = Window(self.config, self.noise, self.backend)
-        self.reference = None
+        self.reference, self.motion.carried = None, None
 
     def _found_again(self, frame: Frame) -> TrackResult | None:
         """A lost frame in another keyframe than the newest, as a keyframe of its own; None where it is in none."""
@@ -259,7 +269,7 @@ class IdRgbdo(Shown):
             return result
         segment = history.segments[found.number]
         reason = joins(history.segment, segment, history.keyframe_times[found.number])
-        T_cam_world = found.tracked.T_frame_kf @ history.keyframe_poses[found.number]
+        T_cam_world = found.T_frame_kf @ history.keyframe_poses[found.number]
         T_segment_world = inverse(self.motion.T_cam_world) @ T_cam_world
         history.join(segment, T_segment_world)
         self.window.move_world(T_segment_world)

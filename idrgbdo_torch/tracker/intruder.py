@@ -20,7 +20,7 @@ Window = dict[int, tuple[Keyframe, Array]]  # keyframes by number, with T_kf_wor
 
 AROUND = ((0, 0), (-4, 0), (4, 0), (0, -4), (0, 4))  # px, where the depth about a point must all say the same
 MOST_AROUND = 3  # of these, of which none may say the contrary
-OF_IT = 0.3  # share of a surface that intrudes, from which on all of it does, as far as it is not known to stand
+OF_IT = 0.1  # share of a surface that intrudes, from which on all of it does, as far as it is not known to stand
 INTRUDERS = 0.03  # share of a keyframe's points that stand where was nothing, from which on they are left out
 LEFT = 0.2  # share of its points that must be left
 STEP = 4  # px between the pixels that are looked at to outline an intruder

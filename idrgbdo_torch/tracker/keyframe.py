@@ -19,6 +19,7 @@ from .candidates import PLANE_RADIUS, extract_candidates, spread_out
 Array = NDArray[np.float64]
 
 REFERENCE_FRAMES = 3  # the reference is the median over the first frames after the keyframe
+FEWEST_CANDIDATES = 16  # that make a keyframe
 SURE_BITS = -0.5  # the ratio of Eq. 20 means nothing where the reference entropy is not clearly negative
 
 

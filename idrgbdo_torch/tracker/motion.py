@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from ..frame import Frame, RgbdFrame
 from ..kernels.se3 import inverse, log_se3, retract
 from ..measurement import RATE
+from .carried import Carried
 from .verification import LIMITS, Verdict
 
 Array = NDArray[np.float64]
 
 GOES_ON = 0.35  # of a change of velocity in the half step to come; half would be exact, were poses without noise
+PATIENCE = 3  # lost frames in a row before a new segment starts
 BLOCKED_S = 1.0  # s that something in front of the view is waited for
 EXPLAINED = 0.95  # share of the points with depth that agree or are hidden
 VIDEO_S = 0.2  # s between frames, up to which a pose is that sure
@@ -38,12 +40,25 @@ class Motion:
     frame_turn: Array = field(default_factory=lambda: np.zeros(3))  # and its turn
 
     first: RgbdFrame | None = None  # the first one as it came, until the velocity that it needs is known
+    carried: Carried | None = None  # what may move with the camera since the segment began, until that is known
     said: Array | None = None  # (4, 4) the last pose that was given, where it was refined since then in a loss
 
     @property
     def shown(self) -> Array:
         """The pose (4, 4) that a lost frame is held at: the last that was given."""
         return self.T_cam_world if self.said is None else self.said
+
+    @property
+    def knows_what_intrudes(self) -> bool:
+        """Whether the last pose can tell what stands where nothing was: it explains the rest, or something does stand
+        there, which is worse to take for the world than the world for it.
+        """
+        return self.explained or self.contested
+
+    @property
+    def doubt(self) -> str:
+        """Why a pose is not to be believed that explains what is in view, empty where it is."""
+        return "" if self.carried is None else self.carried.doubt
 
     @staticmethod
     def at(T_cam_world: Array) -> Motion:
@@ -73,6 +88,8 @@ class Motion:
         """To a frame's measured pose; dt 0 where the step from the one before is no velocity."""
         self.T_previous, self.T_cam_world, self.dt = self.T_cam_world, T_cam_world, dt
         self.frame, self.frame_turn, self.time, self.said = frame, self.turn, frame.timestamp, None
+        if self.carried and self.carried.settled:
+            self.carried = None
 
     def judge(self, verdict: Verdict, intruded: bool) -> None:
         """What stood in front of the last measured frame, against a keyframe that was intruded upon or not."""
@@ -91,6 +108,13 @@ class Motion:
     def move_world(self, T_old_new: Array) -> None:
         """See everything from another world, which lies at this pose (4, 4) in the old one."""
         self.T_cam_world, self.T_previous = self.T_cam_world @ T_old_new, self.T_previous @ T_old_new
+        if self.carried:
+            self.carried.T_kf_world = self.carried.T_kf_world @ T_old_new
+
+    def begin(self, T_cam_world: Array) -> None:
+        """At another pose, with no velocity."""
+        self.T_cam_world = self.T_previous = T_cam_world
+        self.lose()
 
     def lose(self) -> None:
         """No velocity and no expectation any more."""

@@ -32,7 +32,7 @@ class Limits:
     depth_above: float = 0.12  # how much larger the share must be in depth, which knows no shadows and highlights
     few_depths: int = 12  # fewer measured depths than this are too few to judge by
     in_front: float = 0.15  # share of hidden points under which nothing stands in front: borders and parallax
-    obstructed: float = 0.6  # share above which the rest is too little to be sure
+    left: int = 40  # points that are seen beside something in front, under which they are too few to be sure
     beside: int = 24  # points with depth beside something in front that a pose can be judged by
     points: int = 6  # a pose has six degrees of freedom
     gain: float = 1.0  # of the logarithm: with no contrast left, a black or white image would explain everything
@@ -50,6 +50,7 @@ class Verdict:
     bright: float  # share of those with agreeing brightness
     near: float  # share of those with depth that agree in depth
     hidden: float = 0.0  # share of the seen ones with depth that something nearer hides
+    points: int = 0  # so many are seen that nothing hides
     supported: bool = False  # features that had no part in the alignment agree with it
 
     @property
@@ -68,15 +69,24 @@ class Verdict:
         return ""
 
 
-def obstructed(verdict: Verdict) -> str:
-    """Why a pose is doubtful that few points speak for, since something hides the others; empty when it does not."""
-    return f"something hides {verdict.hidden:.0%} of the points" if verdict.hidden > LIMITS.obstructed else ""
+def obstructed(verdict: Verdict, intruded: bool) -> str:
+    """Why a pose is doubtful that few points speak for, since something hides the others; empty when it does not.
+
+    intruded: something did in the keyframe already.
+    """
+    few = verdict.points < LIMITS.left and (intruded or verdict.hidden > LIMITS.in_front)
+    return f"something hides all but {verdict.points} of the points" if few else ""
 
 
 def unsure(entropies: Array) -> str:
     """Why a pose with these entropies (6,) in bits is doubtful however well it fits, empty when it is not."""
     bits, freedom = max(zip(entropies.tolist(), FREEDOMS, strict=True))
     return f"{freedom} is uncertain: {bits:.1f} bits" if bits > LIMITS.unsure_bits else ""
+
+
+def doubtful(verdict: Verdict, intruded: bool, entropies: Array) -> str:
+    """Why a pose is doubtful that is used, empty when it is not; intruded: the keyframe lacks what something hides."""
+    return verdict.doubt(LIMITS.weak) or obstructed(verdict, intruded) or unsure(entropies)
 
 
 def verify(pair: Pair, tracked: Tracked) -> Verdict:
@@ -104,7 +114,8 @@ def judged(found: Agreement, witnesses: int) -> Verdict:
     few = 0 < found.with_depth < LIMITS.few_depths  # judged by brightness alone; one without any depth is broken
     near = 1.0 if few else found.near / max(found.with_depth, 1)
     hidden = found.hidden / max(found.with_depth, 1)
-    return Verdict(found.seen / max(witnesses, 1), found.bright / max(found.seen, 1), near, hidden)
+    seen = found.seen - found.hidden
+    return Verdict(found.seen / max(witnesses, 1), found.bright / max(found.seen, 1), near, hidden, seen)
 
 
 def unhidden(found: Agreement) -> Agreement:

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from . import checkpoints, doors, downloads, folders, frames, kills, readers
+from . import checkpoints, doors, downloads, folders, frames, kills, readers, stress
 from .promise import Attack, limits
 
 ATTACKS: Mapping[str, Attack] = {
@@ -77,9 +77,13 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
     parser.add_argument("--seeds", default="0:1000", help="first:last+1")
     parser.add_argument("--only", default="", help="names of attacks, with commas between")
+    parser.add_argument("--stress", action="store_true", help="statuses under stress, a rendered film a seed")
+    parser.add_argument("--films", type=Path, nargs="+", default=[], help="recordings with poses to stress instead")
     options = parser.parse_args(arguments)
     first, last = (int(text) for text in options.seeds.split(":"))
     seeds: Iterable[int] = range(first, last)
+    if options.stress or options.films:
+        return stress.run(first, last, options.films, options.only)
     if options.only:
         wanted = {list(ATTACKS).index(name.strip()) for name in options.only.split(",")}
         seeds = (seed for seed in seeds if seed % len(ATTACKS) in wanted)

@@ -13,7 +13,8 @@ from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.evaluation import evaluate
 from idrgbdo_torch.frame import RgbdFrame
 from idrgbdo_torch.odometry import Status, run
-from idrgbdo_torch.tracker.id_rgbdo import PATIENCE, IdRgbdo
+from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
+from idrgbdo_torch.tracker.motion import PATIENCE
 
 BREAK = 15  # number of the frame where something goes wrong
 

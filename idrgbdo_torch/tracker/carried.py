@@ -1,0 +1,178 @@
+"""What the camera may carry: a thing that is in view from the first frame on and moves with the camera.
+
+No earlier keyframe knows what is behind it, so nothing tells it from the world until the camera moves. Then its pixels
+stay as they are, while a pose of the rest alone explains the rest and not them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from math import log2
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..frame import Frame, Keyframe
+from ..measurement import IN_FRONT, LEVELS, Noise, State, Subset
+from .alignment import FREE
+from .backends import Backend
+from .intruder import only
+from .tracking import Pair, track_frame
+from .verification import LIMITS, Verdict, verify
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+WIDTH = 160  # px, about which images are compared
+SLOPE = 3.0  # gray levels/px there, from which on a pixel is texture: what has none never changes
+CHANGED = 6.0  # gray levels of a pixel that shows something else
+OTHER_DEPTH = 0.02  # 1/m, likewise
+AROUND = 9  # px of a neighbourhood there
+ALL = 0.85  # share of the texture in one that must be the same
+SOME = 0.1  # share of it that is texture
+LEAST = 0.02  # of the image, that a thing worth the trouble takes
+MOVED = 0.03  # share of the texture that changes when the camera moves
+SEEN_MOVING_PX = 3.0  # by which the thing would have moved, were it part of the world
+STAYS, GOES = 0.8, 0.5  # share of the thing's points that agree with a camera at rest; fewer agree with the rest's pose
+BEHIND = 0.5  # share of what is around it that is farther
+CHANGES = 0.5  # share of the rest's texture that no longer is the same when the rest can't be tracked
+FEWEST = 24  # points of the rest, and of the thing, that a pose can be judged by
+
+
+@dataclass
+class Carried:
+    """Whether a segment's first keyframe shows such a thing."""
+
+    keyframe: Keyframe
+    T_kf_world: Array  # (4, 4)
+    number: int  # of that keyframe
+    texture: Mask  # (h, w) of its image on the level that is compared
+    same: Mask  # (h, w) where all frames since showed the same
+    T_frame_kf: Array = field(default_factory=lambda: np.eye(4))  # the rest's pose in the last frame that told it
+    doubt: str = ""  # why the pose that explains most is not to be believed, empty where it is
+    settled: bool = False  # it shows none, and is not looked at any more
+
+    @staticmethod
+    def of(keyframe: Keyframe, T_kf_world: Array, number: int) -> Carried:
+        """Nothing is known yet."""
+        texture = textured(keyframe.frame.images[level_of(keyframe.frame)])
+        return Carried(keyframe, T_kf_world, number, texture, np.ones_like(texture))
+
+    def seen_in(self, frame: Frame, verdict: Verdict, noise: Noise, backend: Backend) -> Keyframe | None:
+        """Look at the next frame, and at the verdict on the pose that explains most of it.
+
+        The keyframe without the thing once there is one; the frame's pose against that is T_frame_kf then.
+        """
+        if self.settled:
+            return None
+        first, believed = self.keyframe.frame, not verdict.doubt(LIMITS.lost)
+        now = unchanged(first, frame, self.same)
+        moved = 1.0 - now[self.texture].mean() if self.texture.any() else 0.0
+        self.doubt = ""
+        if moved < MOVED:
+            return None
+        same = self.same & coherent(now, self.texture)
+        if believed:
+            self.same = same
+        if same.mean() < LEAST:
+            self.settled = believed
+            return None
+        thing = outlined(first, same)
+        if not in_front(thing, first, frame):
+            return None
+        return self._told_apart(Pair(frame, self.keyframe, noise, backend), thing, now)
+
+    def _told_apart(self, pair: Pair, thing: Mask, now: Mask) -> Keyframe | None:
+        """The keyframe without the thing, if a pose of the rest explains the rest and not the thing."""
+        keyframe, (height, width) = self.keyframe, self.keyframe.frame.depth.shape
+        mask = cv2.resize(thing.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+        u, v = keyframe.points.uv.astype(np.int64).T
+        rest, its = only(keyframe, ~mask[v, u]), keyframe.witnesses[mask[v, u][keyframe.witnesses]]
+        outside = self.texture & ~thing
+        self.doubt = "what fills the view may move with the camera" if now[outside].mean() < 1.0 - CHANGES else ""
+        if min(len(rest.coarse), len(rest.witnesses), len(its)) < FEWEST:
+            return None
+        pair = replace(pair, keyframe=rest)
+        tracked = track_frame(
+            pair, State(self.T_frame_kf, np.zeros(2)), rest.coarse, Subset(rest.coarse, rest.points.patch.shape[2]),
+            FREE, LEVELS,
+        )  # fmt: skip
+        if verify(pair, tracked).doubt(LIMITS.sure):
+            return None
+        self.T_frame_kf, self.doubt = tracked.T_frame_kf, ""
+        camera, points, rested = keyframe.frame.intrinsics[0], keyframe.points, State(np.eye(4), tracked.affine)
+        if pair.backend.displacement(camera, points, its, np.eye(4), tracked.T_frame_kf) < SEEN_MOVING_PX:
+            return None
+        shares = []
+        for state in (rested, State(tracked.T_frame_kf, tracked.affine)):
+            found = pair.backend.verify(pair.frame.view, LIMITS.level, points, its, state, pair.noise, LIMITS.gray)
+            shares.append(found.bright / max(found.seen, 1))
+        if shares[0] < STAYS or shares[1] > GOES:
+            return None
+        depth = np.where(mask, -keyframe.frame.depth, keyframe.frame.depth)
+        return replace(rest, frame=replace(keyframe.frame, depth=depth), intruded=True)
+
+
+def level_of(frame: Frame) -> int:
+    """The level of a pyramid that is about WIDTH wide."""
+    return min(max(round(log2(frame.images[0].shape[1] / WIDTH)), 0), LEVELS - 1)
+
+
+def textured(image: Image) -> Mask:
+    """(h, w) where an image has slopes."""
+    slopes = [np.abs(cv2.Sobel(image, cv2.CV_32F, dx, 1 - dx, scale=0.125)) for dx in (1, 0)]
+    out: Mask = np.maximum(*slopes) > SLOPE
+    return out
+
+
+def depth_on(frame: Frame, level: int) -> Image:
+    """(h, w) m of the pixels amid those of a level."""
+    step, (height, width) = 1 << level, frame.images[level].shape
+    out: Image = frame.depth[step // 2 :: step, step // 2 :: step][:height, :width]
+    return out
+
+
+def unchanged(first: Frame, frame: Frame, same: Mask) -> Mask:
+    """(h, w) where a frame shows what the first showed, as bright and as deep, as far as the depth is known."""
+    level = level_of(first)
+    a, b = first.images[level], frame.images[level]
+    if same.any():  # the exposure of what stays
+        one, two = a[same], b[same]
+        gain = two.std() / max(one.std(), np.float32(1.0))
+        a = gain * a + (two.mean() - gain * one.mean())
+    z, w = depth_on(first, level), depth_on(frame, level)
+    deep = np.abs(w - z) < OTHER_DEPTH * (z * w)
+    out: Mask = (np.abs(a - b) < CHANGED) & (deep | (z == 0.0) | (w == 0.0))
+    return out
+
+
+def coherent(now: Mask, texture: Mask) -> Mask:
+    """(h, w) where nearly all of the texture around is unchanged, and there is some."""
+    around = (AROUND, AROUND)
+    there = cv2.boxFilter(texture.astype(np.float32), -1, around)
+    out: Mask = (there > SOME) & (cv2.boxFilter((now & texture).astype(np.float32), -1, around) > ALL * there)
+    return out
+
+
+def outlined(first: Frame, same: Mask) -> Mask:
+    """(h, w) of the thing that stays the same: with its gaps, and the border that the neighbourhoods took from it."""
+    inside = cv2.morphologyEx(same.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((AROUND, AROUND), np.uint8))
+    inside = cv2.morphologyEx(inside, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    depth = depth_on(first, level_of(first))
+    wide = np.ones((2 * AROUND - 1, 2 * AROUND - 1), np.uint8)
+    nearby = cv2.dilate(np.where(inside > 0, depth, np.float32(0.0)), wide)
+    one_of_it = (depth < (1.0 + IN_FRONT) * nearby) | (cv2.dilate(inside, np.ones((3, 3), np.uint8)) > 0)
+    out: Mask = (inside > 0) | ((nearby > 0.0) & one_of_it)
+    return out
+
+
+def in_front(thing: Mask, first: Frame, frame: Frame) -> bool:
+    """Whether most of what is around a thing is farther, in the first frame and now: else it moves, not the camera."""
+    level = level_of(first)
+    z, w = depth_on(first, level), depth_on(frame, level)
+    its = cv2.dilate(np.where(thing, z, np.float32(0.0)), np.ones((7, 7), np.uint8))
+    around = (its > 0.0) & ~thing & (z > 0.0) & (w > 0.0)
+    farther = np.minimum(z, w)[around] > (1.0 + IN_FRONT) * its[around]
+    return bool(farther.size and farther.mean() > BEHIND)
