@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from ..errors import IdRgbdoError
-from ..text.configfile import Count
+from ..text.configfile import Count, Index, NonNegative
 from .output import Output, answer
 from .tasks_bar import tasks_bar
 
@@ -22,7 +22,20 @@ if TYPE_CHECKING:
     from ..experiments.task import Clip
 
 Name = Literal[
-    "fig1", "fig3", "fig4", "fig5", "fig6", "fig7", "fig8", "table1", "ablation", "coverage", "faults", "events", "all"
+    "fig1",
+    "fig3",
+    "fig4",
+    "fig5",
+    "fig6",
+    "fig7",
+    "fig8",
+    "table1",
+    "ablation",
+    "frontier",
+    "coverage",
+    "faults",
+    "events",
+    "all",
 ]
 
 
@@ -35,6 +48,8 @@ class ExperimentCommand:
     tum: Path | None = None  # the same for table1: ours alone, beside the numbers published for these recordings
     rendered: bool = False  # instead: rendered relatives of the 18 sequences of Table 1, made on first use
     trajectories: Path | None = None  # folder of TUM trajectories to film along; else built-in hand-held paths
+    later: NonNegative = 0.0  # s by which films begin later along recorded paths: other stretches than those for tuning
+    look: Index = 0  # other textures and scenes of the films, and other built-in paths
     sequences: str = ""  # some of them, commas between; else all
     quick: bool = False  # fewer sequences, frames, seeds and steps
     frames: Count | None = None  # of each sequence
@@ -69,6 +84,7 @@ def experiment(command: ExperimentCommand) -> int:
 def _lab(command: ExperimentCommand, only_cost: bool) -> Lab:
     from ..experiments import setup
     from ..experiments.lab import Lab
+    from ..experiments.rendering import Take
     from ..experiments.sweep import Workers
 
     if command.tum and (command.data or command.rendered or command.name != "table1"):
@@ -81,7 +97,8 @@ def _lab(command: ExperimentCommand, only_cost: bool) -> Lab:
     elif command.rendered and data is None:
         frames = command.frames or (setup.QUICK_FRAMES if command.quick else setup.FRAMES)
         cache = command.cache or setup.default_cache()
-        films = setup.planned_films(command.sequences, frames, command.quick, cache, command.trajectories)
+        take = Take(command.later, command.look)
+        films = setup.planned_films(command.sequences, frames, command.quick, cache, command.trajectories, take=take)
         with tasks_bar("rendering") as on_progress:
             clips = setup.clips_of(films, workers, on_progress)
     elif data is not None and not command.rendered:
@@ -109,7 +126,7 @@ def _command_line(command: ExperimentCommand) -> str:
     words = ["idrgbdo experiment", command.name]
     for name in ("rendered", "quick"):
         words += [f"--{name}"] if getattr(command, name) else []
-    for name in ("sequences", "frames", "seeds"):
+    for name in ("later", "look", "sequences", "frames", "seeds"):
         words += [f"--{name} {value}"] if (value := getattr(command, name)) else []
     words += [f"--{name} FOLDER" for name in ("data", "tum") if getattr(command, name)]
     return " ".join(words + (["--trajectories FOLDER"] if command.trajectories else []))

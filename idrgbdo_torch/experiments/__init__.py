@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .lab import Lab, Report
 
-NAMES = ("fig1", "fig3", "fig4", "fig5", "fig6", "fig7", "fig8", "table1", "ablation", "coverage", "faults", "events")
+NAMES = (
+    *("fig1", "fig3", "fig4", "fig5", "fig6", "fig7", "fig8", "table1", "ablation", "frontier"),
+    *("coverage", "faults", "events"),
+)
 
 
 def run_experiment(name: str, lab: Lab) -> Report:

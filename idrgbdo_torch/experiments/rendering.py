@@ -36,6 +36,18 @@ class RenderTask:
 
 
 @dataclass(frozen=True)
+class Take:
+    """Which films of the same relatives: tuned on some, a method is judged on others."""
+
+    later: float = 0.0  # s by which they begin later along a recorded path
+    look: int = 0  # of textures and scene
+
+
+FIRST = Take()
+LOOKS = 100  # seeds from one look to the next
+
+
+@dataclass(frozen=True)
 class FurtherSequence(RenderedSequence):
     """A rendered sequence whose scene keeps `further` metres more away than it would by itself."""
 
@@ -63,7 +75,12 @@ def _moved(T: Any, step: Any) -> Any:
 
 
 def plan_rendering(
-    names: Sequence[str], frames: int, cache: Path, trajectories: Path | None = None, shrink: int = 1
+    names: Sequence[str],
+    frames: int,
+    cache: Path,
+    trajectories: Path | None = None,
+    shrink: int = 1,
+    take: Take = FIRST,
 ) -> list[RenderTask]:
     """What to render for the named sequences; `shrink` divides the image size, for tests.
 
@@ -82,9 +99,9 @@ def plan_rendering(
         config = SynthConfig(
             kind=relative.kind,
             trajectory=path,
-            start=relative.start if path else 0.0,
+            start=relative.start + take.later if path else 0.0,
             frames=frames,
-            seed=number,
+            seed=number + LOOKS * take.look,
             width=640 // shrink,
             height=480 // shrink,
             fx=525.0 / shrink,

@@ -11,7 +11,7 @@ from ..errors import IdRgbdoError
 from ..text import configfile
 from .lab import find_clips, short_name
 from .relatives import RELATIVES
-from .rendering import RenderTask, plan_rendering, render_missing
+from .rendering import FIRST, RenderTask, Take, plan_rendering, render_missing
 from .sweep import Progress, Workers
 from .task import Clip
 
@@ -44,14 +44,14 @@ def rendered_clips(
 
 
 def planned_films(
-    names: str, frames: int, quick: bool, cache: Path, trajectories: Path | None, shrink: int = 1
+    names: str, frames: int, quick: bool, cache: Path, trajectories: Path | None, shrink: int = 1, take: Take = FIRST
 ) -> tuple[RenderTask, ...]:
     """What to render for the rendered set, or for the named ones of it (commas between)."""
     wanted = [name.strip() for name in names.split(",") if name.strip()] or list(QUICK_NAMES if quick else TABLE_ORDER)
     for name in wanted:
         if name not in TABLE_ORDER:
             raise IdRgbdoError(f"sequences: no rendered sequence '{name}'; expected some of {', '.join(TABLE_ORDER)}")
-    return tuple(plan_rendering(wanted, frames, cache, trajectories, shrink))
+    return tuple(plan_rendering(wanted, frames, cache, trajectories, shrink, take))
 
 
 def clips_of(

@@ -16,11 +16,12 @@ from dask_cluster import dask_cluster
 from idrgbdo_torch.commands.cli import main
 from idrgbdo_torch.config import Config
 from idrgbdo_torch.errors import IdRgbdoError
-from idrgbdo_torch.experiments import NAMES, ablation, faults, fig3, fig6, fig7, fig8, run_experiment, table1
+from idrgbdo_torch.experiments import NAMES, ablation, faults, fig3, fig6, fig7, fig8, frontier, run_experiment, table1
 from idrgbdo_torch.experiments import events as events_of
 from idrgbdo_torch.experiments.lab import Lab, interval, write_report
 from idrgbdo_torch.experiments.paper import TABLE_1
 from idrgbdo_torch.experiments.relatives import RELATIVES
+from idrgbdo_torch.experiments.rendering import RenderTask, Take, plan_rendering
 from idrgbdo_torch.experiments.setup import clips_of, paper_config, planned_films, recorded_clips, rendered_clips
 from idrgbdo_torch.experiments.sweep import Workers, read_results
 from idrgbdo_torch.experiments.task import Measured, Task, measure
@@ -117,6 +118,37 @@ def test_fig6_and_the_ablation(lab: Lab) -> None:
     assert float(rows["default"]["RPE x"]) == float(rows["default"]["K2FE x"]) == 1.0
     numbers = {(row["RPE x"], row["ATE x"], row["K2FE x"]) for row in rows.values()}
     assert len(numbers) == 6  # the switches do something
+
+
+def test_the_frontier_is_what_nothing_beats(lab: Lab) -> None:
+    found = report(replace(lab, clips=lab.clips[:1]), "frontier")
+    assert [line.split(" is ")[0] for line in found] == list(frontier.PRESETS)
+    rows = rows_of(lab.out / "frontier.csv")
+    assert len(rows) == 3 + 4  # 24 tracked, three numbers refined; 256 of either
+    best = [row for row in rows if row["on the frontier"]]
+    errors = [float(row["RPE mm/s"]) for row in best]
+    assert best[0] is rows[0] and errors == sorted(errors, reverse=True)
+    assert min(errors) == min(float(row["RPE mm/s"]) for row in rows)
+    settings = [
+        frontier.Setting(str(k), rpe, 1.0, 1.0, ms, 0.0) for k, (rpe, ms) in enumerate([(3, 1), (2, 2), (2.5, 3)])
+    ]
+    assert [setting.name for setting in frontier.frontier(settings)] == ["0", "1"]
+    assert [frontier.excess(setting, settings) for setting in settings] == [1.0, 1.0, 1.25]
+
+
+def test_other_takes_are_other_films(tmp_path: Path) -> None:
+    def film(take: Take, trajectories: Path | None) -> RenderTask:
+        (task,) = plan_rendering(["fr1_xyz"], 5, tmp_path, trajectories, take=take)
+        return task
+
+    path = tmp_path / "freiburg1_xyz.txt"
+    path.write_text("0 0 0 0 0 0 0 1\n9 1 0 0 0 0 0 1\n")
+    first, later, look = (film(take, tmp_path) for take in (Take(), Take(later=3.0), Take(look=1)))
+    assert (later.config.start - first.config.start, later.config.seed) == (3.0, first.config.seed)
+    assert look.config.start == first.config.start and look.config.seed != first.config.seed
+    assert len({task.folder for task in (first, later, look)}) == 3
+    assert film(Take(later=3.0), None).config.start == 0.0  # a built-in path has no other stretches, but other looks
+    assert film(Take(look=1), None).config.seed != film(Take(), None).config.seed
 
 
 def test_cost_of_tracking_and_of_the_window() -> None:
