@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 from recordings import ROOT, write_recording
-from rendered import Film, film
+from rendered import FAULTLESS, Film, film
+
+from idrgbdo_torch.synthetic import RenderedSequence
 
 sys.path.append(str(ROOT))  # baselines/, which the installed package has as a part of itself
 
@@ -28,6 +30,12 @@ def data_dir() -> Path:
 def desk() -> Film:
     """40 frames of a rendered desk with full sensor noise, rendered once for all tests."""
     return film()
+
+
+@pytest.fixture(scope="session")
+def faultless() -> RenderedSequence:
+    """8 frames of a small film by an ideal sensor; its frames are rendered when read."""
+    return RenderedSequence(FAULTLESS)
 
 
 @pytest.fixture

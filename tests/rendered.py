@@ -10,12 +10,24 @@ from torch import Tensor
 
 from idrgbdo_torch.definitions.se3 import inverse
 from idrgbdo_torch.frame import RgbdFrame
-from idrgbdo_torch.synthetic import RenderedSequence, SynthConfig
+from idrgbdo_torch.synthetic import FaultConfig, RenderedSequence, SensorConfig, SynthConfig
 from idrgbdo_torch.synthetic.world import World
 from idrgbdo_torch.tracker.open3d_loader import load_open3d
 from idrgbdo_torch.trajectory import Trajectory
 
 SMALL = SynthConfig(kind="desk", frames=40, width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5)
+FAULTLESS = SynthConfig(
+    kind="structure_texture",
+    frames=8,
+    width=160,
+    height=120,
+    fx=131.25,
+    fy=131.25,
+    cx=79.5,
+    cy=59.5,
+    rate=15.0,
+    sensor=SensorConfig.ideal(),
+)
 
 
 @dataclass(frozen=True)
@@ -35,6 +47,14 @@ def film(config: SynthConfig = SMALL) -> Film:
     """Render it now."""
     sequence = RenderedSequence(config)
     return Film(tuple(sequence), sequence.groundtruth)
+
+
+def with_faults(faultless: RenderedSequence, faults: FaultConfig, frames: int | None = None) -> RenderedSequence:
+    """A film with faults, or its first frames; world, path and exposure are not made again."""
+    faulty = RenderedSequence(replace(faultless.config, faults=faults, frames=frames or faultless.config.frames))
+    for shared in ("renderer", "path", "T_scene_world", "exposure"):
+        faulty.__dict__[shared] = getattr(faultless, shared)
+    return faulty
 
 
 def rotation_deg(T: Tensor) -> float:

@@ -7,41 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from rendered import with_faults
 
 from idrgbdo_torch.frame import RgbdFrame, prepare
 from idrgbdo_torch.kernels.se3 import inverse, log_se3
 from idrgbdo_torch.runs.checkpoint import CONSTANTS, TYPES
 from idrgbdo_torch.runs.tree import Codec
-from idrgbdo_torch.synthetic import FaultConfig, RenderedSequence, SensorConfig, SynthConfig
+from idrgbdo_torch.synthetic import FaultConfig, RenderedSequence
 from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 from idrgbdo_torch.tracker.instant import at_one_instant, steady, takes_time
 
-CLEAN = SynthConfig(
-    kind="structure_texture",
-    frames=8,
-    width=160,
-    height=120,
-    fx=131.25,
-    fy=131.25,
-    cx=79.5,
-    cy=59.5,
-    rate=15.0,
-    sensor=SensorConfig.ideal(),
-)
 READOUT = FaultConfig(readout_ms=60.0, named=True)
 LATE = FaultConfig(depth_delay_ms=60.0, named=True)
-
-
-@pytest.fixture(scope="module")
-def clean() -> RenderedSequence:
-    return RenderedSequence(CLEAN)
-
-
-def film(clean: RenderedSequence, faults: FaultConfig) -> RenderedSequence:
-    """The clean film with faults; the world is not built again."""
-    spoilt = RenderedSequence(replace(CLEAN, faults=faults))
-    spoilt.__dict__["renderer"] = clean.renderer
-    return spoilt
 
 
 def velocity(sequence: RenderedSequence, index: int) -> np.ndarray:
@@ -56,9 +33,9 @@ def off(a: torch.Tensor, b: torch.Tensor) -> float:
     return float((a - b)[10:-10, 10:-10].abs().mean())
 
 
-def test_rows_of_a_rolling_shutter_come_to_one_time(clean: RenderedSequence) -> None:
-    right, rolled = clean.read(5), film(clean, READOUT).read(5)
-    mended = at_one_instant(rolled, velocity(clean, 5))
+def test_rows_of_a_rolling_shutter_come_to_one_time(faultless: RenderedSequence) -> None:
+    right, rolled = faultless.read(5), with_faults(faultless, READOUT).read(5)
+    mended = at_one_instant(rolled, velocity(faultless, 5))
     assert off(rolled.gray, right.gray) > 4.0
     assert off(mended.gray, right.gray) < 0.4 * off(rolled.gray, right.gray)
     assert mended.color is not None and right.color is not None and rolled.color is not None
@@ -66,9 +43,9 @@ def test_rows_of_a_rolling_shutter_come_to_one_time(clean: RenderedSequence) -> 
     assert torch.equal(mended.depth, rolled.depth)
 
 
-def test_late_depth_comes_to_the_colour_images_time(clean: RenderedSequence) -> None:
-    right, late = clean.read(5), film(clean, LATE).read(5)
-    mended = at_one_instant(late, velocity(clean, 5))
+def test_late_depth_comes_to_the_colour_images_time(faultless: RenderedSequence) -> None:
+    right, late = faultless.read(5), with_faults(faultless, LATE).read(5)
+    mended = at_one_instant(late, velocity(faultless, 5))
 
     def error(frame: RgbdFrame) -> float:
         return float((frame.depth - right.depth)[10:-10, 10:-10].abs().median())
@@ -78,8 +55,8 @@ def test_late_depth_comes_to_the_colour_images_time(clean: RenderedSequence) -> 
     assert torch.equal(mended.gray, late.gray)
 
 
-def test_holes_stay_holes_and_mix_with_nothing(clean: RenderedSequence) -> None:
-    late = film(clean, LATE).read(5)
+def test_holes_stay_holes_and_mix_with_nothing(faultless: RenderedSequence) -> None:
+    late = with_faults(faultless, LATE).read(5)
     depth = torch.full_like(late.depth, 2.0)
     depth[40:80, 50:100] = 0.0
     mended = at_one_instant(replace(late, depth=depth), np.array([0.0, 0.0, 0.0, 0.05, 0.3, 0.1])).depth
@@ -89,19 +66,19 @@ def test_holes_stay_holes_and_mix_with_nothing(clean: RenderedSequence) -> None:
     assert float(there.min()) > 1.9 and float(there.max()) < 2.1
 
 
-def test_nothing_known_changes_nothing(clean: RenderedSequence) -> None:
-    frame = clean.read(5)
+def test_nothing_known_changes_nothing(faultless: RenderedSequence) -> None:
+    frame = faultless.read(5)
     assert not takes_time(frame.camera)
-    as_it_came, plain = steady(frame, velocity(clean, 5), 0.8), prepare(frame, 0.8)
+    as_it_came, plain = steady(frame, velocity(faultless, 5), 0.8), prepare(frame, 0.8)
     assert all(np.array_equal(a, b) for a, b in zip(as_it_came.images, plain.images, strict=True))
     assert as_it_came.depth is plain.depth or np.array_equal(as_it_came.depth, plain.depth)
-    at_rest = steady(film(clean, READOUT).read(5), np.zeros(6), 0.0)
-    assert np.array_equal(at_rest.images[0], film(clean, READOUT).read(5).gray.numpy())
+    at_rest = steady(with_faults(faultless, READOUT).read(5), np.zeros(6), 0.0)
+    assert np.array_equal(at_rest.images[0], with_faults(faultless, READOUT).read(5).gray.numpy())
 
 
 @pytest.mark.parametrize("faults", [READOUT, LATE], ids=["rolling shutter", "late depth"])
-def test_a_camera_file_that_names_it_brings_the_pose_back(clean: RenderedSequence, faults: FaultConfig) -> None:
-    spoilt = film(clean, faults)
+def test_a_camera_file_that_names_it_brings_the_pose_back(faultless: RenderedSequence, faults: FaultConfig) -> None:
+    spoilt = with_faults(faultless, faults)
     frames = tuple(spoilt)
 
     def error(camera_knows: bool) -> float:
@@ -109,7 +86,7 @@ def test_a_camera_file_that_names_it_brings_the_pose_back(clean: RenderedSequenc
         odometry = IdRgbdo(compile_ahead=False)
         camera = spoilt.camera if camera_knows else replace(spoilt.camera, readout_ms=0.0, depth_delay_ms=0.0)
         poses = [odometry.track(replace(frame, camera=camera)).T_world_cam.numpy() for frame in frames]
-        true = clean.T_world_cam
+        true = faultless.T_world_cam
         steps = [
             np.linalg.inv(np.linalg.inv(true[k - 1]) @ true[k]) @ (np.linalg.inv(poses[k - 1]) @ poses[k])
             for k in range(4, len(poses))
@@ -119,8 +96,8 @@ def test_a_camera_file_that_names_it_brings_the_pose_back(clean: RenderedSequenc
     assert error(True) < 0.6 * error(False)
 
 
-def test_a_run_can_be_kept_while_the_first_frame_waits_for_its_velocity(clean: RenderedSequence) -> None:
-    frames = tuple(film(clean, READOUT).read(index) for index in range(3))
+def test_a_run_can_be_kept_while_the_first_frame_waits_for_its_velocity(faultless: RenderedSequence) -> None:
+    frames = tuple(with_faults(faultless, READOUT).read(index) for index in range(3))
     odometry = IdRgbdo(compile_ahead=False)
     odometry.track(frames[0])
     codec = Codec(TYPES, CONSTANTS)
