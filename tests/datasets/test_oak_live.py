@@ -123,6 +123,7 @@ def test_the_lens_is_the_images_own(desk: Film) -> None:
 def test_no_camera_and_settings_that_it_does_not_take(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(IdRgbdoError, match="expected size and rate alone for an OAK"):
         open_camera("oak", settings=CameraSettings(emitter=True), max_frames=1)
+    monkeypatch.setenv("DEPTHAI_SEARCH_TIMEOUT", "300")  # ms
     if not dai.Device.getAllAvailableDevices():
         with pytest.raises(IdRgbdoError, match=r"expected an OAK camera \(No available devices\)"):
             open_camera("oak", max_frames=1)

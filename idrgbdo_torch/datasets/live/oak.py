@@ -81,8 +81,11 @@ class Oak:
         return color.getTimestampDevice().total_seconds(), lambda: images
 
     def stop(self) -> None:
-        """Stop the camera."""
+        """Stop the camera, and wait for the library's threads: where the pipeline goes before they have ended, it waits
+        for them with Python's lock in hand, and one that needs it never ends.
+        """
         self._pipeline.stop()
+        self._pipeline.wait()
 
     def _message(self) -> Any:
         try:
