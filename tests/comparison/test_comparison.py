@@ -102,14 +102,13 @@ def test_what_is_done_is_not_repeated(recording: Path, tmp_path: Path) -> None:
     second = again()
     assert set(ran) == {"raises"}  # what broke is tried again
     assert second.outcomes[0] == first.outcomes[0]
+    del methods["raises"]
     methods["loses"] = replace(methods["loses"], settings=other_settings)
     again()
     assert "loses" in ran  # other settings, other result
     again(overwrite=True)
     assert "loses" in ran
-    compare(methods, [Source(recording, max_frames=39)], out, on_progress=lambda p: ran.append(p.sequence))
-    assert ran[-1] == "walk"
-    assert len(read_outcomes(out)) == 6 - 1  # one of the seven lines replaced an equal one, another was the retry
+    assert len(lines(out)) == 5 and len(read_outcomes(out)) == 3  # a retry and a repetition replaced what was there
 
 
 def test_a_half_written_line_is_no_outcome(tmp_path: Path) -> None:
