@@ -38,6 +38,7 @@ SEEN_MOVING_PX = 3.0  # by which the thing would have moved, were it part of the
 STAYS, GOES = 0.8, 0.5  # share of the thing's points that agree with a camera at rest; fewer agree with the rest's pose
 BEHIND = 0.5  # share of what is around it that is farther
 CHANGES = 0.5  # share of the rest's texture that no longer is the same when the rest can't be tracked
+STILL = 0.5  # share of the thing that must be where it was, for it to be there still
 FEWEST = 24  # points of the rest, and of the thing, that a pose can be judged by
 
 
@@ -52,24 +53,43 @@ class Carried:
     same: Mask  # (h, w) where all frames since showed the same
     T_frame_kf: Array = field(default_factory=lambda: np.eye(4))  # the rest's pose in the last frame that told it
     doubt: str = ""  # why the pose that explains most is not to be believed, empty where it is
-    settled: bool = False  # it shows none, and is not looked at any more
+    settled: bool = False  # it is known whether there is one
+    thing: Image | None = None  # (H, W) m, how far that is, 0 beside it
 
     @staticmethod
-    def of(keyframe: Keyframe, T_kf_world: Array, number: int) -> Carried:
-        """Nothing is known yet."""
-        texture = textured(keyframe.frame.images[level_of(keyframe.frame)])
-        return Carried(keyframe, T_kf_world, number, texture, np.ones_like(texture))
+    def of(keyframe: Keyframe, T_kf_world: Array, number: int, before: Carried | None) -> Carried:
+        """Nothing is known yet but what was known before."""
+        level = level_of(keyframe.frame)
+        texture, thing = textured(keyframe.frame.images[level]), before.thing if before else None
+        if thing is not None:
+            texture &= depth_on(thing, texture, level) == 0.0
+        return Carried(keyframe, T_kf_world, number, texture, np.ones_like(texture), thing=thing)
+
+    @property
+    def kept(self) -> Carried | None:
+        """What stays known when the camera finds itself elsewhere."""
+        return None if self.thing is None else replace(self, settled=True)
+
+    def cleared(self, keyframe: Keyframe) -> Keyframe:
+        """A new keyframe without the thing, as far as it is still there; with negative depth, see without_intruder."""
+        if self.thing is None:
+            return keyframe
+        depth, there = keyframe.frame.depth, self.thing > 0.0
+        mask = there & (np.abs(depth - self.thing) < IN_FRONT * self.thing)
+        if mask.sum() < STILL * there.sum():
+            return keyframe
+        return without(keyframe, mask | (there & (depth == 0.0)))
 
     def seen_in(self, frame: Frame, verdict: Verdict, noise: Noise, backend: Backend) -> Keyframe | None:
         """Look at the next frame, and at the verdict on the pose that explains most of it.
 
         The keyframe without the thing once there is one; the frame's pose against that is T_frame_kf then.
         """
-        if self.settled:
+        if self.settled or not self.texture.any():
             return None
         first, believed = self.keyframe.frame, not verdict.doubt(LIMITS.lost)
         now = unchanged(first, frame, self.same)
-        moved = 1.0 - now[self.texture].mean() if self.texture.any() else 0.0
+        moved = 1.0 - now[self.texture].mean()
         self.doubt = ""
         if moved < MOVED:
             return None
@@ -111,8 +131,16 @@ class Carried:
             shares.append(found.bright / max(found.seen, 1))
         if shares[0] < STAYS or shares[1] > GOES:
             return None
-        depth = np.where(mask, -keyframe.frame.depth, keyframe.frame.depth)
-        return replace(rest, frame=replace(keyframe.frame, depth=depth), intruded=True)
+        known = np.float32(0.0) if self.thing is None else self.thing
+        self.settled, self.thing = True, np.where(mask, np.abs(keyframe.frame.depth), known)
+        return without(keyframe, mask)
+
+
+def without(keyframe: Keyframe, mask: Mask) -> Keyframe:
+    """A keyframe without what is in some pixels (H, W): no points, and negative depth, so that no one measures it."""
+    u, v = keyframe.points.uv.astype(np.int64).T
+    depth = np.where(mask, -np.abs(keyframe.frame.depth), keyframe.frame.depth)
+    return replace(only(keyframe, ~mask[v, u]), frame=replace(keyframe.frame, depth=depth), intruded=True)
 
 
 def level_of(frame: Frame) -> int:
@@ -127,10 +155,10 @@ def textured(image: Image) -> Mask:
     return out
 
 
-def depth_on(frame: Frame, level: int) -> Image:
-    """(h, w) m of the pixels amid those of a level."""
-    step, (height, width) = 1 << level, frame.images[level].shape
-    out: Image = frame.depth[step // 2 :: step, step // 2 :: step][:height, :width]
+def depth_on(depth: Image, image: Image | Mask, level: int) -> Image:
+    """(h, w) m of the pixels amid those of an image (h, w) on a level."""
+    step, (height, width) = 1 << level, image.shape
+    out: Image = depth[step // 2 :: step, step // 2 :: step][:height, :width]
     return out
 
 
@@ -142,7 +170,7 @@ def unchanged(first: Frame, frame: Frame, same: Mask) -> Mask:
         one, two = a[same], b[same]
         gain = two.std() / max(one.std(), np.float32(1.0))
         a = gain * a + (two.mean() - gain * one.mean())
-    z, w = depth_on(first, level), depth_on(frame, level)
+    z, w = depth_on(first.depth, a, level), depth_on(frame.depth, a, level)
     deep = np.abs(w - z) < OTHER_DEPTH * (z * w)
     out: Mask = (np.abs(a - b) < CHANGED) & (deep | (z == 0.0) | (w == 0.0))
     return out
@@ -160,7 +188,7 @@ def outlined(first: Frame, same: Mask) -> Mask:
     """(h, w) of the thing that stays the same: with its gaps, and the border that the neighbourhoods took from it."""
     inside = cv2.morphologyEx(same.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((AROUND, AROUND), np.uint8))
     inside = cv2.morphologyEx(inside, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    depth = depth_on(first, level_of(first))
+    depth = depth_on(first.depth, same, level_of(first))
     wide = np.ones((2 * AROUND - 1, 2 * AROUND - 1), np.uint8)
     nearby = cv2.dilate(np.where(inside > 0, depth, np.float32(0.0)), wide)
     one_of_it = (depth < (1.0 + IN_FRONT) * nearby) | (cv2.dilate(inside, np.ones((3, 3), np.uint8)) > 0)
@@ -171,7 +199,7 @@ def outlined(first: Frame, same: Mask) -> Mask:
 def in_front(thing: Mask, first: Frame, frame: Frame) -> bool:
     """Whether most of what is around a thing is farther, in the first frame and now: else it moves, not the camera."""
     level = level_of(first)
-    z, w = depth_on(first, level), depth_on(frame, level)
+    z, w = depth_on(first.depth, thing, level), depth_on(frame.depth, thing, level)
     its = cv2.dilate(np.where(thing, z, np.float32(0.0)), np.ones((7, 7), np.uint8))
     around = (its > 0.0) & ~thing & (z > 0.0) & (w > 0.0)
     farther = np.minimum(z, w)[around] > (1.0 + IN_FRONT) * its[around]

@@ -17,7 +17,6 @@ from ..measurement import Noise, State, kernel_noise, with_blur
 from ..odometry import Status, TrackResult
 from .alignment import align, displacement
 from .backends import backend_named
-from .carried import Carried
 from .elders import held_against
 from .history import History
 from .inspection import Shown
@@ -178,7 +177,7 @@ class IdRgbdo(Shown):
 
     def _keyframe(self, frame: Frame, T_frame_world: Array | None = None) -> Keyframe | None:
         """A keyframe of a frame at a pose, None where it has too few candidates."""
-        keyframe: Keyframe | None = make_keyframe(frame, self.config, self.rng, self.backend)
+        keyframe: Keyframe | None = self.motion.cleared(make_keyframe(frame, self.config, self.rng, self.backend))
         if keyframe and T_frame_world is not None and self.motion.knows_what_intrudes:
             keyframe = without_intruder(keyframe, self.window_keyframes(), T_frame_world)
         return keyframe if keyframe and len(keyframe.points.uv) >= FEWEST_CANDIDATES else None
@@ -224,7 +223,7 @@ class IdRgbdo(Shown):
         self.motion.T_cam_world = self.motion.shown
         self.history.segment = 0 if first else self.history.new_segment()
         self._adopt(keyframe)
-        self.motion.carried = Carried.of(keyframe, self.motion.T_cam_world, len(self.history.keyframe_poses) - 1)
+        self.motion.watch(keyframe, len(self.history.keyframe_poses) - 1)
         self.motion.time, self.lost_in_a_row = frame.timestamp, 0
         reason = "" if first else "a new segment starts here, at the last known pose"
         return replace(self._held(frame, Status.OK if first else Status.LOST, reason), keyframe=True)
@@ -233,7 +232,8 @@ class IdRgbdo(Shown):
         """What comes next is not tied to the keyframes so far."""
         self.history.leave_all(self.window.members.keyframes)
         self.window = Window(self.config, self.noise, self.backend)
-        self.reference, self.motion.carried = None, None
+        self.motion.forget_place()
+        self.reference = None
 
     def _found_again(self, frame: Frame) -> TrackResult | None:
         """A lost frame in another keyframe than the newest, as a keyframe of its own; None where it is in none."""

@@ -8,7 +8,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frame import Frame, RgbdFrame
+from ..frame import Frame, Keyframe, RgbdFrame
 from ..kernels.se3 import inverse, log_se3, retract
 from ..measurement import RATE
 from .carried import Carried
@@ -89,7 +89,7 @@ class Motion:
         self.T_previous, self.T_cam_world, self.dt = self.T_cam_world, T_cam_world, dt
         self.frame, self.frame_turn, self.time, self.said = frame, self.turn, frame.timestamp, None
         if self.carried and self.carried.settled:
-            self.carried = None
+            self.forget_place()
 
     def judge(self, verdict: Verdict, intruded: bool) -> None:
         """What stood in front of the last measured frame, against a keyframe that was intruded upon or not."""
@@ -110,6 +110,18 @@ class Motion:
         self.T_cam_world, self.T_previous = self.T_cam_world @ T_old_new, self.T_previous @ T_old_new
         if self.carried:
             self.carried.T_kf_world = self.carried.T_kf_world @ T_old_new
+
+    def watch(self, keyframe: Keyframe, number: int) -> None:
+        """A segment begins at the present pose, with this keyframe: see what in it moves with the camera."""
+        self.carried = Carried.of(keyframe, self.T_cam_world, number, self.carried)
+
+    def forget_place(self) -> None:
+        """The segment's first keyframe is not looked at any more; what moves with the camera stays known."""
+        self.carried = self.carried and self.carried.kept
+
+    def cleared(self, keyframe: Keyframe) -> Keyframe:
+        """A new keyframe without what is known to move with the camera."""
+        return self.carried.cleared(keyframe) if self.carried else keyframe
 
     def begin(self, T_cam_world: Array) -> None:
         """At another pose, with no velocity."""

@@ -15,7 +15,7 @@ from .alignment import FREE, NEAR_LEVELS
 from .features import HALF, Perspective, features, pose_from_features, start_from_features
 from .places import Place, nearest_first
 from .tracking import Pair, Tracked, track_frame
-from .verification import LIMITS, Verdict, verify
+from .verification import LIMITS, Verdict, obstructed, verify
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,8 @@ def find_in_window(pair: Pair, T_cam_world: Array, window: dict[int, tuple[Keyfr
     nearest = [numbers[k] for k in nearest_first(T_cam_world, [window[n][1] for n in numbers])[:NEIGHBOURS]]
     for number in nearest:
         keyframe, T_kf_world = window[number]
-        found = sure(number, *aligned(replace(pair, keyframe=keyframe), T_cam_world @ inverse(T_kf_world), LEVELS))
+        other = replace(pair, keyframe=keyframe)
+        found = sure(number, other, *aligned(other, T_cam_world @ inverse(T_kf_world), LEVELS))
         if found:
             return found
     for number in nearest:
@@ -78,11 +79,13 @@ def find_in_places(pair: Pair, places: Sequence[Place]) -> Found | None:
 
 def from_perspective(number: int, pair: Pair, start: Perspective) -> Found | None:
     """The frame against a keyframe from where features put it, if its brightness and depth are sure of it."""
-    return sure(number, *aligned(pair, start.T_target_host, NEAR_LEVELS))
+    return sure(number, pair, *aligned(pair, start.T_target_host, NEAR_LEVELS))
 
 
-def sure(number: int, tracked: Tracked, verdict: Verdict) -> Found | None:
+def sure(number: int, pair: Pair, tracked: Tracked, verdict: Verdict) -> Found | None:
     """A pose found elsewhere than in the newest keyframe, if it is to be taken: a wrong one is worse than none."""
     if verdict.visible < IN_VIEW or verdict.doubt(LIMITS.sure) or verdict.hidden > LIMITS.in_front:
         return None  # what hides much of the place would become part of the keyframe that is made here
+    if obstructed(verdict, pair.keyframe.intruded):
+        return None
     return Found(number, tracked, verdict)
