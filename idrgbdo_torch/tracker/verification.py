@@ -32,7 +32,7 @@ class Limits:
     depth_above: float = 0.12  # how much larger the share must be in depth, which knows no shadows and highlights
     few_depths: int = 12  # fewer measured depths than this are too few to judge by
     in_front: float = 0.15  # share of hidden points under which nothing stands in front: borders and parallax
-    left: int = 48  # points that are seen beside something in front, under which they are too few to be sure
+    left: int = 32  # points that are seen beside something in front, under which they are too few to be sure
     beside: int = 24  # points with depth beside something in front that a pose can be judged by
     points: int = 6  # a pose has six degrees of freedom
     gain: float = 1.0  # of the logarithm: with no contrast left, a black or white image would explain everything
