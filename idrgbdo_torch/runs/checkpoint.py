@@ -42,6 +42,7 @@ from ..tracker.members import Members
 from ..tracker.motion import Motion
 from ..tracker.places import Place, Places
 from ..tracker.reference import Reference
+from ..tracker.repeated import Seen
 from ..tracker.smoothing import Departure, Departures
 from ..tracker.tracking import Tracked
 from ..tracker.window import Solved, Window
@@ -60,7 +61,7 @@ TYPES = (  # what a state may be made of; a new type in the tracker's state has 
     Pinhole, LinearPrior, RgbdFrame, Frame, Keyframe, Noise, Points, WindowPoints,
     WindowPairs, WindowSystem, Solved, Features, Place, Places, Departure, Motion, Carried, Reference, History,
     Members, Status, TrackResult, Record, Records, Column, Departures, ConstantVelocity, IdRgbdo, Cloud, Kept,
-    Tracked, Window,
+    Tracked, Window, Seen,
 )  # fmt: skip
 CONSTANTS = {f"backend {name}": backend for name, backend in BACKENDS.items()}
 

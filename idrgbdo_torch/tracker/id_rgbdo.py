@@ -17,6 +17,7 @@ from ..measurement import Noise, State, kernel_noise, with_blur
 from ..odometry import Status, TrackResult
 from .alignment import align, displacement
 from .backends import backend_named
+from .between import LATE_COLOR, track_between
 from .elders import held_against
 from .history import History
 from .inspection import Shown
@@ -66,11 +67,18 @@ class IdRgbdo(Shown):
     def track(self, rgbd: RgbdFrame) -> TrackResult:
         """The pose of the next frame (sections 4 and 5). Raises IdRgbdoError for what check_next refuses."""
         check_next(rgbd, self.reference.keyframe.frame.camera if self.reference else None)
+        rgbd = self.motion.look(rgbd)
         frame = steady(rgbd, self.motion.velocity(), self.config.tracking.blur)
+        if self.reference is not None and self.motion.sees_late:
+            return self._between(frame, self.reference)
         if self.reference is None:
             self.motion.first = rgbd if takes_time(rgbd.camera) else None
             return self._start_segment(frame, "too few points with depth and texture to start from")
         tracked, verdict = self._align(frame, self.reference)
+        if (earlier := self.motion.with_earlier_depth(frame)) is not None:
+            again, second = self._align(earlier, self.reference)
+            if self.motion.prefers_earlier(second.score - verdict.score):
+                frame, tracked, verdict = earlier, again, second
         if takes_time(rgbd.camera) and not verdict.doubt(LIMITS.lost):
             frame, tracked, verdict = self._steadied(rgbd, tracked, self.reference)
         tracked, verdict = self._beside(frame, tracked, verdict)
@@ -89,9 +97,8 @@ class IdRgbdo(Shown):
         self.lost_in_a_row, self.last = 0, (reference.keyframe, tracked)
         motion.judge(verdict, reference.keyframe.intruded)
         self.history.add_frame(frame.timestamp, tracked.T_frame_kf)
-        result = measured(
-            motion.T_cam_world, tracked, self.history.keyframe_times[-1], reason, self.history.segment, entropies
-        )
+        time, segment = self.history.keyframe_times[-1], self.history.segment
+        result = measured(motion.T_cam_world, tracked, time, reason, segment, entropies)
         if wants_keyframe(reference.entropies, self.config.keyframe) and self._new_keyframe(frame):
             result = replace(result, keyframe=True, T_world_cam=torch.from_numpy(inverse(motion.T_cam_world)))
             return self._joined(frame, result) if self.history.segment > 0 else result
@@ -133,6 +140,14 @@ class IdRgbdo(Shown):
             motion.surprise_px,
         )  # fmt: skip
         return tracked, verdict
+
+    def _between(self, frame: Frame, reference: Reference) -> TrackResult:
+        """A frame with the colour image of the one before: it is weak, and the next one goes on from that one."""
+        tracked = track_between(self._pair(frame, reference), self.motion, reference, self.config)
+        self.last = None
+        self.history.add_frame(frame.timestamp, tracked.T_frame_kf)
+        T_cam_world, time = tracked.T_frame_kf @ reference.T_kf_world, self.history.keyframe_times[-1]
+        return measured(T_cam_world, tracked, time, LATE_COLOR, self.history.segment)
 
     def _pair(self, frame: Frame, reference: Reference) -> Pair:
         noise = with_blur(self.noise, self.config.noise, frame.camera.fx, self.motion.turn, reference.turn)

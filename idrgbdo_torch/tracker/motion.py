@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 
 import numpy as np
@@ -12,6 +12,7 @@ from ..frame import Frame, Keyframe, RgbdFrame
 from ..kernels.se3 import inverse, log_se3, retract
 from ..measurement import RATE
 from .carried import Carried
+from .repeated import Seen, with_late_depth
 from .verification import LIMITS, Verdict
 
 Array = NDArray[np.float64]
@@ -21,6 +22,7 @@ PATIENCE = 3  # lost frames in a row before a new segment starts
 BLOCKED_S = 1.0  # s that something in front of the view is waited for
 EXPLAINED = 0.95  # share of the points with depth that agree or are hidden
 VIDEO_S = 0.2  # s between frames, up to which a pose is that sure
+DECIDED = 0.1  # share of the points, summed over frames, that says whether a slow camera's colour images are late
 LONGEST = 3.0  # times the last gap that a velocity is followed
 
 
@@ -42,6 +44,41 @@ class Motion:
     first: RgbdFrame | None = None  # the first one as it came, until the velocity that it needs is known
     carried: Carried | None = None  # what may move with the camera since the segment began, until that is known
     said: Array | None = None  # (4, 4) the last pose that was given, where it was refined since then in a loss
+
+    lateness: float = 0.0  # by how much more of the points agreed with earlier depth, added up
+    seen: Seen | None = None  # what the present frame shows, and since when
+
+    def look(self, rgbd: RgbdFrame) -> RgbdFrame:
+        """A new frame; depth that is older than its colour image is brought to that time."""
+        self.seen = Seen.after(self.seen, rgbd)
+        return with_late_depth(rgbd, self.seen.late_depth, self.velocity())
+
+    def with_earlier_depth(self, frame: Frame) -> Frame | None:
+        """The present frame with the depth of the one before, where its colour image may be that old; else None."""
+        depth = None if self.seen is None or self.lateness <= -DECIDED else self.seen.depth_before
+        return None if depth is None else replace(frame, depth=depth)
+
+    def prefers_earlier(self, gain: float) -> bool:
+        """Whether the earlier depth belongs to the colour images, now that its pose has a score that much higher.
+
+        That is a matter of the camera, so what was clear once is not asked again: later keyframes take it for granted.
+        """
+        if abs(self.lateness) < DECIDED:
+            self.lateness += gain
+        return self.lateness > 0.0
+
+    @property
+    def sees_late(self) -> bool:
+        """Whether the present frame's colour image is an earlier one, where the camera was measured then."""
+        return self.seen is not None and self.seen.late_color and self._measured_since(self.seen.gray_since)
+
+    @property
+    def rests(self) -> bool:
+        """Whether the present frame is an earlier one, where the camera was measured then."""
+        return self.seen is not None and self.seen.late and self._measured_since(self.seen.gray_since)
+
+    def _measured_since(self, timestamp: float) -> bool:
+        return self.frame is not None and self.frame.timestamp >= timestamp
 
     @property
     def shown(self) -> Array:
@@ -71,7 +108,9 @@ class Motion:
         return dt if dt > 0.0 else 1.0 / RATE
 
     def predicted(self, dt: float) -> Array:
-        """T_cam_world (4, 4) after dt seconds of the last velocity."""
+        """T_cam_world (4, 4) after dt seconds of the last velocity; the last pose for the last images."""
+        if self.rests:
+            return self.T_cam_world
         ratio = min(dt / self.dt, LONGEST) if self.dt > 0.0 else 0.0
         return predict(self.T_cam_world, self.T_previous, ratio)
 
@@ -85,7 +124,12 @@ class Motion:
         return now + GOES_ON * (now - before) if before.any() else now
 
     def move(self, T_cam_world: Array, frame: Frame, dt: float) -> None:
-        """To a frame's measured pose; dt 0 where the step from the one before is no velocity."""
+        """To a frame's measured pose; dt 0 where the step from the one before is no velocity. The same images say
+        nothing about velocity: it is that of the ones before, and what it is next is over the time since these.
+        """
+        if self.rests:
+            self.T_cam_world, self.frame, self.said = T_cam_world, frame, None
+            return
         self.T_previous, self.T_cam_world, self.dt = self.T_cam_world, T_cam_world, dt
         self.frame, self.frame_turn, self.time, self.said = frame, self.turn, frame.timestamp, None
         if self.carried and self.carried.settled:
