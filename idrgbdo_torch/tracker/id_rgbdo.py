@@ -84,10 +84,9 @@ class IdRgbdo(Shown):
         tracked, verdict = self._beside(frame, tracked, verdict)
         if verdict.doubt(LIMITS.weak) and self._late_keyframe(frame, verdict):
             tracked, verdict = self._align(frame, self.reference)
-        reference, motion = self.reference, self.motion
+        reference, motion, dt = self.reference, self.motion, self.motion.gap(frame.timestamp)
         if reason := verdict.doubt(LIMITS.sure if self.lost_in_a_row else LIMITS.lost):
             return self._found_again(frame) or self._lost(frame, reason)
-        dt = motion.gap(frame.timestamp)
         entropies = self.backend.freedom_entropies(tracked.information)
         after_loss = "the frame before was lost" if self.lost_in_a_row else ""
         reason = doubtful(verdict, reference.keyframe.intruded, entropies) or after_loss or motion.doubt
@@ -135,10 +134,10 @@ class IdRgbdo(Shown):
         motion.turn = turn_rate(guess, resting, dt)
         pair = self._pair(frame, reference)
         self._choose(reference, pair, guess, prior)
+        start, levels = State(guess, reference.affine), self.config.tracking.levels
         tracked, verdict, motion.surprise_px = align(
-            pair, State(guess, reference.affine), resting, reference.index, prior, self.config.tracking.levels,
-            motion.surprise_px,
-        )  # fmt: skip
+            pair, start, resting, reference.index, prior, levels, motion.surprise_px
+        )
         return tracked, verdict
 
     def _between(self, frame: Frame, reference: Reference) -> TrackResult:
@@ -146,8 +145,8 @@ class IdRgbdo(Shown):
         tracked = track_between(self._pair(frame, reference), self.motion, reference, self.config)
         self.last = None
         self.history.add_frame(frame.timestamp, tracked.T_frame_kf)
-        T_cam_world, time = tracked.T_frame_kf @ reference.T_kf_world, self.history.keyframe_times[-1]
-        return measured(T_cam_world, tracked, time, LATE_COLOR, self.history.segment)
+        T, time = tracked.T_frame_kf @ reference.T_kf_world, self.history.keyframe_times[-1]
+        return measured(T, tracked, time, LATE_COLOR, self.history.segment)
 
     def _pair(self, frame: Frame, reference: Reference) -> Pair:
         noise = with_blur(self.noise, self.config.noise, frame.camera.fx, self.motion.turn, reference.turn)

@@ -54,6 +54,7 @@ def wants_keyframe(history: list[Array], config: KeyframeConfig) -> bool:
     return bool(lost.max() > config.threshold_ratio)
 
 
+FEWEST_CANDIDATES = 16  # that make a keyframe
 WITNESSES = 256  # points that a pose is verified with
 
 

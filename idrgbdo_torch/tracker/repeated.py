@@ -79,7 +79,7 @@ def same(a: Image, b: Image) -> bool:
 
 
 def with_late_depth(rgbd: RgbdFrame, delay: float, velocity: Array) -> RgbdFrame:
-    """The frame with its depth, which is so many seconds too old, brought to its time; velocity as in at_one_instant."""
+    """The frame with its depth, so many seconds too old, brought to its time; velocity as in at_one_instant."""
     if delay <= 0.0 or not velocity.any():
         return rgbd
     late = replace(rgbd, camera=replace(rgbd.camera, depth_delay_ms=-1e3 * delay, readout_ms=0.0))

@@ -16,6 +16,7 @@ from .backends import Backend
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+KEYFRAME_GAP = 1.0 / 30.0  # s, gap of the motion prior that a new keyframe's points are chosen with
 STEPS = np.array([8, 10, 12, 12, 12, 12])  # most iterations per level, finest first
 KEYFRAME_GAP = 1.0 / 30.0  # s, gap of the motion prior that a new keyframe's points are chosen with
 AFFINE_PRIOR = np.diag([1.0 / 0.1**2, 1.0 / 10.0**2])  # of gain and gray levels, about the previous frame's
