@@ -23,12 +23,13 @@ from .history import History
 from .inspection import Shown
 from .instant import steady, takes_time
 from .intruder import blocked, without_intruder
+from .joining import join
 from .keyframe import FEWEST_CANDIDATES, make_keyframe, wants_keyframe
 from .mapping import NOTHING, keyframe_cloud
 from .motion import PATIENCE, Motion, turn_rate
 from .recovery import find_in_places, find_in_window
 from .reference import Reference
-from .results import held, joins, measured
+from .results import after, found_in, held, measured
 from .selection import select_points, view_margin
 from .tracking import KEYFRAME_GAP, Pair, Tracked, motion_information
 from .verification import LIMITS, Verdict, doubtful
@@ -59,8 +60,7 @@ class IdRgbdo(Shown):
         self.motion = Motion.at(start if T_world_cam is None else inverse(start))
         self.rng = np.random.default_rng(self.config.seed)
         self.reference: Reference | None = None
-        self.window = Window(self.config, self.noise, self.backend)
-        self.history = History()
+        self.window, self.history = Window(self.config, self.noise, self.backend), History()
         self.lost_in_a_row = 0
         self.last: tuple[Keyframe, Tracked] | None = None  # what the last frame was tracked against
 
@@ -88,8 +88,7 @@ class IdRgbdo(Shown):
         if reason := verdict.doubt(LIMITS.sure if self.lost_in_a_row else LIMITS.lost):
             return self._found_again(frame) or self._lost(frame, reason)
         entropies = self.backend.freedom_entropies(tracked.information)
-        after_loss = "the frame before was lost" if self.lost_in_a_row else ""
-        reason = doubtful(verdict, reference.keyframe.intruded, entropies) or after_loss or motion.doubt
+        reason = doubtful(verdict, reference.keyframe.intruded, entropies) or after(self.lost_in_a_row) or motion.doubt
         reference.entropies.append(entropies)
         reference.affine = tracked.affine
         motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame, 0.0 if self.lost_in_a_row else dt)
@@ -143,9 +142,8 @@ class IdRgbdo(Shown):
     def _between(self, frame: Frame, reference: Reference) -> TrackResult:
         """A frame with the colour image of the one before: it is weak, and the next one goes on from that one."""
         tracked = track_between(self._pair(frame, reference), self.motion, reference, self.config)
-        self.last = None
         self.history.add_frame(frame.timestamp, tracked.T_frame_kf)
-        T, time = tracked.T_frame_kf @ reference.T_kf_world, self.history.keyframe_times[-1]
+        T, time, self.last = tracked.T_frame_kf @ reference.T_kf_world, self.history.keyframe_times[-1], None
         return measured(T, tracked, time, LATE_COLOR, self.history.segment)
 
     def _pair(self, frame: Frame, reference: Reference) -> Pair:
@@ -253,8 +251,7 @@ class IdRgbdo(Shown):
         """A lost frame in another keyframe than the newest, as a keyframe of its own; None where it is in none."""
         window = self.window_keyframes()
         _, (newest, _) = window.popitem()  # which has been tried
-        pair = Pair(frame, newest, self.noise, self.backend)
-        history = self.history
+        pair, history = Pair(frame, newest, self.noise, self.backend), self.history
         found = find_in_window(pair, self.motion.predicted(self.motion.gap(frame.timestamp)), window)
         found = found or find_in_places(pair, history.places.likely(pair.frame, self.lost_in_a_row))
         if found is None:
@@ -271,9 +268,7 @@ class IdRgbdo(Shown):
         history.segment = history.segments[found.number]
         self._adopt(keyframe)
         history.add_frame(frame.timestamp, np.eye(4))
-        time = history.keyframe_times[found.number]
-        reason = f"found again in the keyframe of {time:.3f} s"
-        return replace(measured(self.motion.T_cam_world, found.tracked, time, reason, history.segment), keyframe=True)
+        return found_in(self.motion.T_cam_world, found.tracked, history.keyframe_times[found.number], history.segment)
 
     def _joined(self, frame: Frame, result: TrackResult) -> TrackResult:
         """Look for a new keyframe in the places of earlier segments; where it is found, the present one joins them."""
@@ -281,16 +276,7 @@ class IdRgbdo(Shown):
         earlier = [p for p in history.places.likely(frame, 0) if history.segments[p.number] < history.segment]
         if reference is None or (found := find_in_places(self._pair(frame, reference), earlier)) is None:
             return result
-        segment = history.segments[found.number]
-        reason = joins(history.segment, segment, history.keyframe_times[found.number])
-        T_cam_world = found.T_frame_kf @ history.keyframe_poses[found.number]
-        T_segment_world = inverse(self.motion.T_cam_world) @ T_cam_world
-        history.join(segment, T_segment_world)
-        self.window.move_world(T_segment_world)
-        self.motion.move_world(T_segment_world)
-        reference.T_kf_world = reference.T_kf_world @ T_segment_world
-        T_world_cam = torch.from_numpy(inverse(self.motion.T_cam_world))
-        return replace(result, T_world_cam=T_world_cam, status=Status.WEAK, reason=reason, segment=segment)
+        return join(found, history, self.window, self.motion, reference, result)
 
     def _lost(self, frame: Frame, reason: str) -> TrackResult:
         """Stay where we were and say so; after too many such frames begin anew, with this one."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -42,6 +43,18 @@ def measured(
         entropy_bits=tuple(bits.tolist()),
         segment=segment,
     )
+
+
+def found_in(T_cam_world: Array, tracked: Tracked, time: float, segment: int) -> TrackResult:
+    """Of a lost frame that was found again in the keyframe of that time (s), and has become one itself."""
+    return replace(
+        measured(T_cam_world, tracked, time, f"found again in the keyframe of {time:.3f} s", segment), keyframe=True
+    )
+
+
+def after(lost: int) -> str:
+    """Why a pose after so many lost frames is doubtful; empty after none."""
+    return "the frame before was lost" if lost else ""
 
 
 def joins(segment: int, earlier: int, seen_s: float) -> str:
