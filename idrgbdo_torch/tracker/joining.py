@@ -1,4 +1,4 @@
-"""A segment becomes part of an earlier one, where it was found in one of its keyframes: it moves by one rigid motion."""
+"""A segment becomes part of an earlier one, where it was found in one of its keyframes: by one rigid motion."""
 
 from __future__ import annotations
 

