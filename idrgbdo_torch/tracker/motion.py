@@ -17,7 +17,6 @@ from .verification import LIMITS, Verdict
 
 Array = NDArray[np.float64]
 
-PATIENCE = 3  # lost frames in a row before a new segment starts
 GOES_ON = 0.35  # of a change of velocity in the half step to come; half would be exact, were poses without noise
 PATIENCE = 3  # lost frames in a row before a new segment starts
 BLOCKED_S = 1.0  # s that something in front of the view is waited for
