@@ -17,6 +17,7 @@ from .definitions.camera import Pinhole
 from .definitions.checks import check_gray, check_metres, extremes
 from .definitions.given import number, plain_tensor
 from .errors import IdRgbdoError
+from .kernels.pyramid import halve, smooth
 from .measurement import COARSE_BLUR, LEVELS, Points, View
 from .text.clock import NO_SECONDS
 
@@ -232,7 +233,7 @@ def prepare(rgbd: RgbdFrame, blur: float = 0.0) -> Frame:
     images = gray_pyramid(own(rgbd.gray.detach().numpy()), LEVELS)
     sharp = images[0]
     if blur > 0.0:
-        images[0] = cv2.GaussianBlur(images[0], (5, 5), blur)
+        images[0] = smoothed(sharp, blur)
     depth = own(rgbd.depth.detach().numpy())
     color = rgbd.color if rgbd.color is None or rgbd.is_owned else rgbd.color.clone()
     return Frame(rgbd.timestamp, rgbd.camera, tuple(images), depth, color, sharp)
@@ -242,12 +243,26 @@ def gray_pyramid(image: Image, levels: int) -> list[Image]:
     """The image (H, W) float32 itself and its levels - 1 halvings, blurred."""
     images = [image]
     while len(images) < levels:
-        height, width = images[-1].shape
-        even = images[-1][: max(height // 2, 1) * 2, : max(width // 2, 1) * 2]
-        images.append(cv2.resize(even, (max(width // 2, 1), max(height // 2, 1)), interpolation=cv2.INTER_AREA))
-    for image in images[1:]:
-        cv2.GaussianBlur(image, (5, 5), COARSE_BLUR, dst=image)  # in place: fresh memory costs more than the blur
+        height, width = image.shape
+        half = np.empty((max(height // 2, 1), max(width // 2, 1)), np.float32)
+        halve(image, half)
+        images.append(smoothed(half, COARSE_BLUR))
+        image = half
     return images
+
+
+def smoothed(image: Image, sigma: float) -> Image:
+    """An image (H, W) float32 blurred by a Gaussian of so many px, over 5x5 pixels."""
+    out = np.empty_like(image)
+    smooth(image, blur_taps(sigma), out)
+    return out
+
+
+@lru_cache(maxsize=16)
+def blur_taps(sigma: float) -> Image:
+    """(3,) float32, read-only: the weights of a pixel and of those 1 and 2 px away."""
+    weights = np.exp(-0.5 * (np.arange(3.0) / sigma) ** 2)
+    return np.asarray(weights / (weights[0] + 2.0 * weights[1:].sum()), np.float32)
 
 
 @dataclass(frozen=True)
