@@ -214,6 +214,20 @@ def test_runs_with_one_camera_are_added_up(desk: Film) -> None:
     assert found is not None and found.pairs == len(first.vector) + len(second.vector)
 
 
+def test_a_camera_that_does_not_turn_cannot_tell_its_intrinsics() -> None:
+    """What they do to a point is what another translation does, whose inverse depths are the same."""
+    rng = np.random.default_rng(2)
+    uv, d, zero = rng.uniform(-100, 100, (20, 2)), rng.uniform(0.4, 1.2, 20), np.zeros((20, 2))
+    patch, still = np.zeros((20, 8)), np.zeros(20)
+    x, y = uv[:, 0] / CAMERA.fx, uv[:, 1] / CAMERA.fy
+    points = Hosted(uv, x, y, d, d, zero, patch, np.zeros((20, 8, 2)), (still, still, still), still)
+    T = np.eye(4)
+    T[:3, 3] = tx, ty, tz = 0.2, -0.1, 0.3
+    u_and_v = jacobians(points, placed_in_target(points, T, CAMERA), T, np.zeros(6), CAMERA)[:, :2]
+    for column, shift in ((FOCAL, (tx, ty)), (CENTER_U, (tz / CAMERA.fx, 0.0)), (CENTER_V, (0.0, tz / CAMERA.fy))):
+        np.testing.assert_allclose(u_and_v[:, :, column], u_and_v[:, :, :2] @ shift, atol=1e-9)
+
+
 def test_jacobians_are_derivatives() -> None:
     """Of where points of the host are seen in the target, by a camera file that is wrong and rows that are late."""
     rng = np.random.default_rng(1)
