@@ -14,6 +14,7 @@ import numpy as np
 from ..datasets.depth_scale import USUAL_M, scale_doubt
 from .edges import CONTRAST, STRONG
 from .findings import Finding, Verdict
+from .judge_camera import camera_file
 from .judge_scene import another_view, cut, moving, still
 
 if TYPE_CHECKING:
@@ -56,7 +57,11 @@ def findings(measured: Measured) -> list[Finding]:
         _brightness(measured),
         _reference(measured),
     )
-    return [row for row in rows if row is not None]
+    found = [row for row in rows if row is not None]
+    if any(row.verdict is Verdict.FAULT for row in found):
+        return found  # what is small shows once that is mended
+    seen = camera_file(measured.camera_seen, measured.camera)
+    return [*found, seen] if seen else found
 
 
 def _matched(m: Measured) -> Finding | None:

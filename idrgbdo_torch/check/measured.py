@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ..definitions.camera import Pinhole
+from ..tracker.camera_estimate import CameraEstimate
 from .calibration import SelfCalibration
 from .edges import EdgeFit
 from .images import ImageStatistics
@@ -34,4 +35,5 @@ class Measured:
     shown: Sample | None  # the frame for the picture: most depth edges
     depth_scale: float | None = None  # depth values per metre, where the sequence tells
     view: ViewFit | None = None  # asked for only where colour and depth agree at no shift
+    camera_seen: CameraEstimate | None = None
     motions_apart: list[TwoMotions] = field(default_factory=list)  # of the pairs that can tell

@@ -12,6 +12,7 @@ from ..datasets import RgbdSequence
 from ..trajectory import Trajectory
 from . import judge
 from .calibration import SelfCalibration, self_calibrate
+from .camera_seen import CameraSeen
 from .edges import STRONG, EdgeSums
 from .findings import Finding, Verdict
 from .images import ImageStatistics, statistics
@@ -48,13 +49,14 @@ def check(
     frame looked at.
     """
     edges, tracks, images, broken = EdgeSums(), Tracks(), list[ImageStatistics](), list[str]()
-    views = Views()
+    views, camera_seen = Views(), CameraSeen(sequence.camera)
     shown, most, sampled = None, -1.0, 0
     for run in read_runs(sequence, broken):
         pixels = edges.pixels
         edges.add(run)
         tracks.add(run)
         views.add(run)
+        camera_seen.add(run)
         images += [statistics(sample) for sample in run[::EVERY]]
         if run and edges.pixels - pixels > most:
             shown, most = run[len(run) // 2], edges.pixels - pixels
@@ -77,6 +79,7 @@ def check(
         motion=_motion(sequence.groundtruth, sequence.timestamps, calibration),
         shown=shown,
         depth_scale=getattr(sequence, "depth_scale", None),
+        camera_seen=camera_seen.fit(),
         view=views.fit() if edge_fit.strength < STRONG else None,
         motions_apart=[m for pair in tracks.pairs if (m := two_motions(pair, sequence.camera)) is not None],
     )

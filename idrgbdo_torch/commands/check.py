@@ -35,13 +35,16 @@ def check(command: CheckCommand) -> int:
     from ..check import check as check_sequence
     from ..check import sampled_frames
     from ..check.picture import draw
+    from ..config import Config
     from ..report.pictures import save
     from ..report.terminal import progress_bar
     from .input import open_input
+    from .track import make_odometry
 
     sequence = open_input(command.sequence, command.input)
     folder = command.sequence if command.input.associations is None else None
     whole = command.input.start == 0 and command.input.every == 1 and command.input.max_frames is None
+    make_odometry(Config())  # so that its kernels are compiled under a bar of their own
     with progress_bar(f"checking {sequence.name}", sampled_frames(sequence)) as advance:
         report = check_sequence(sequence, folder if whole else None, advance)
     picture = command.out or Path("runs") / sequence.name / "check.png"

@@ -23,6 +23,7 @@ from ..odometry import Odometry, Record, Run
 from ..report import Glimpse, run_page, watch
 from ..report.terminal import (
     Rows,
+    camera_rows,
     compiling_bar,
     evaluation_rows,
     hint_rows,
@@ -161,6 +162,7 @@ def do(
 
             def on_record(record: Record) -> None:
                 folder.append(record)
+                state.camera.look(record, method)
                 advance(count_statuses(record))
                 if checkpoints:
                     checkpoints.offer(state)
@@ -172,7 +174,9 @@ def do(
             if checkpoints:  # an interrupted run goes on here; a finished one drops it at the end
                 checkpoints.offer(state, now=True)
             evaluation, rows = _evaluated(done, method, sequence.groundtruth)
-            summary = folder.finish(done, method, evaluation, with_map=job.map_kind != "none")
+            seen = state.camera.estimate(sequence.camera)
+            summary = folder.finish(done, method, evaluation, job.map_kind != "none", seen)
+            rows = [*camera_rows(seen, sequence.camera), *rows]
         if job.map_kind == "mesh" and done.records:
             trajectory = believable(method.trajectory(), done)
             rows.append(("mesh", _mesh(sequence, trajectory, path / "mesh.ply", terminal)))

@@ -9,9 +9,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from ..definitions.camera import Pinhole
 from ..evaluation import Evaluation
 from ..odometry import Record, Run, Status, lost_because
 from ..text.plain import plain
+from ..tracker.camera_estimate import CameraEstimate
 
 Rows = list[tuple[str, str]]
 MOST_REASONS = 3  # kinds of reasons for a loss that are shown
@@ -108,6 +110,12 @@ def run_rows(run: Run, summary: dict[str, Any]) -> Rows:
         rows.append(("time per frame", f"{median:.1f} ms median, {p95:.1f} ms 95 % (waiting another {decode:.1f} ms)"))
         rows.append(("speed", f"{fps:.1f} frames per second"))
     return rows
+
+
+def camera_rows(estimate: CameraEstimate | None, camera: Pinhole) -> Rows:
+    """What the images surely show otherwise than the camera file says."""
+    found = estimate.departures(camera) if estimate else {}
+    return [("camera", f"{'; '.join(found.values())}, unlike its file says")] if found else []
 
 
 def evaluation_rows(evaluation: Evaluation, both: bool = False) -> Rows:

@@ -16,7 +16,7 @@ import hashlib
 import json
 import mmap
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from time import monotonic
@@ -33,6 +33,8 @@ from ..measurement import Noise, Points, WindowPairs, WindowPoints, WindowSystem
 from ..odometry import ConstantVelocity, Odometry, Record, Status, TrackResult
 from ..text import configfile
 from ..tracker.backends import BACKENDS
+from ..tracker.camera_equations import Moving
+from ..tracker.camera_estimate import CameraEstimator, Waiting
 from ..tracker.carried import Carried
 from ..tracker.features import Features
 from ..tracker.history import History
@@ -51,7 +53,7 @@ from .source import Source, difference
 from .tree import Codec
 
 NAME = "checkpoint.bin"
-MAGIC = b"idrgbdo checkpoint 4\n"  # the number is the format's
+MAGIC = b"idrgbdo checkpoint 5\n"  # the number is the format's
 SHARE = 30.0  # times what writing one takes, between two
 LEAST_S = 1.0  # between two
 DIGEST_BYTES = 32
@@ -61,7 +63,7 @@ TYPES = (  # what a state may be made of; a new type in the tracker's state has 
     Pinhole, LinearPrior, RgbdFrame, Frame, Keyframe, Noise, Points, WindowPoints,
     WindowPairs, WindowSystem, Solved, Features, Place, Places, Departure, Motion, Carried, Reference, History,
     Members, Status, TrackResult, Record, Records, Column, Departures, ConstantVelocity, IdRgbdo, Cloud, Kept,
-    Tracked, Window, Seen,
+    Tracked, Window, Seen, CameraEstimator, Waiting, Moving,
 )  # fmt: skip
 CONSTANTS = {f"backend {name}": backend for name, backend in BACKENDS.items()}
 
@@ -109,6 +111,7 @@ class State:
     odometry: Odometry
     records: Sequence[Record]
     extras: list[Any]  # whatever else was collected on the way
+    camera: CameraEstimator = field(default_factory=CameraEstimator)  # what was seen of the camera
 
 
 def can_keep(odometry: Odometry) -> bool:
@@ -155,7 +158,7 @@ class Checkpoints:
         self._due = end + max(LEAST_S, SHARE * (end - begin))
 
     def _write(self, path: Path, state: State) -> None:
-        tree, numbers = self._codec.write((state.odometry, state.records, state.extras), self._rows.keep)
+        tree, numbers = self._codec.write((state.odometry, state.records, state.extras, state.camera), self._rows.keep)
         text = json.dumps({"identity": asdict(self._identity), "rows": self._rows.path.name, **tree}).encode()
         digest = hashlib.sha256()
         with path.open("wb") as file:
@@ -213,6 +216,8 @@ def _read(data: memoryview, path: Path, identity: Identity, codec: Codec) -> Sta
     records, extras = state.records, state.extras
     if not isinstance(extras, list) or not callable(getattr(state.odometry, "track", None)):
         raise IdRgbdoError(f"resume: '{path}' holds no state of a run; run without --resume")
+    if not isinstance(state.camera, CameraEstimator):
+        raise IdRgbdoError(f"resume: '{path}' holds no state of a run; run without --resume")
     if not isinstance(records, Records | list) or not all(isinstance(record, Record) for record in records):
         raise IdRgbdoError(f"resume: '{path}' holds something else than frames; run without --resume")
-    return State(state.odometry, Records.of(records), extras)
+    return State(state.odometry, Records.of(records), extras, state.camera)

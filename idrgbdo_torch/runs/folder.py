@@ -22,6 +22,7 @@ from ..errors import IdRgbdoError
 from ..evaluation import Evaluation, Measurement
 from ..odometry import Odometry, Record, Run, Status, lost_because
 from ..text.files import damage_named, read_table
+from ..tracker.camera_estimate import CameraEstimate
 from ..tracker.inspection import Inspectable
 from ..tracker.mapping import ply_bytes
 from ..trajectory import TUM_HEADER, Trajectory, in_time, nearest, read_tum, tum_line, tum_text
@@ -97,8 +98,9 @@ class RunFolder:
             raise
 
     def finish(
-        self, run: Run, odometry: Odometry, evaluation: Evaluation | None = None, with_map: bool = True
-    ) -> dict[str, Any]:
+        self, run: Run, odometry: Odometry, evaluation: Evaluation | None = None, with_map: bool = True,
+        camera: CameraEstimate | None = None,
+    ) -> dict[str, Any]:  # fmt: skip
         """Write the refined trajectory and keyframes, the map where there is one, and the summary; returns the latter.
 
         trajectory_refined.txt is only written where the odometry changed a pose after its frame.
@@ -113,7 +115,7 @@ class RunFolder:
         if with_map and isinstance(odometry, Inspectable):
             for segment, cloud in odometry.maps().items():
                 write_whole(self.path / map_name(segment), ply_bytes(cloud))
-        summary = summarise(run, evaluation)
+        summary = summarise(run, evaluation) | ({"camera": camera.as_dict()} if camera else {})
         write_whole(self.path / "summary.json", json.dumps(summary, indent=2) + "\n")
         return summary
 

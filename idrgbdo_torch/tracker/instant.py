@@ -15,6 +15,7 @@ from ..frame import Frame, RgbdFrame, prepare
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
+Floats = NDArray[Any]
 
 REDUCED = 8  # px that share a depth where the sensor gave none
 AROUND = 9  # of such, over which it is averaged
@@ -44,13 +45,13 @@ def at_one_instant(rgbd: RgbdFrame, velocity: Array) -> RgbdFrame:
     z = rgbd.depth.numpy()
     if camera.depth_delay_ms:
         delay = np.float32(camera.depth_delay_ms / 1e3)
-        du, dv, approach = _flow(camera, x, y, _inverse(z), velocity)
+        du, dv, approach = flow(camera, x, y, _inverse(z), velocity)
         z = _depth_at(z, u + delay * du, v + delay * dv)
         z *= 1 - delay * approach
     gray, color = rgbd.gray.numpy(), rgbd.color
     if camera.readout_ms:
         row = np.float32(camera.readout_ms / 1e3 / camera.height)
-        du, dv, _ = _flow(camera, x, y, _inverse(z), velocity)
+        du, dv, _ = flow(camera, x, y, _inverse(z), velocity)
         late: Image = row * (v + np.float32(0.5 - camera.height / 2)) / (1 - row * dv)  # s, of the row that saw a point
         map_u, map_v = u + late * du, v + late * dv
         gray = _sampled(gray, map_u, map_v)
@@ -69,8 +70,11 @@ def _grid(camera: Pinhole) -> tuple[Image, Image, Image, Image]:
     )
 
 
-def _flow(camera: Pinhole, x: Image, y: Image, d: Image, velocity: Array) -> tuple[Image, Image, Image]:
-    """(H, W) velocity in the image, px/s right and down, and relative change of depth, 1/s; d: inverse depth, 1/m."""
+def flow(camera: Pinhole, x: Floats, y: Floats, d: Floats, velocity: Array) -> tuple[Floats, Floats, Floats]:
+    """Velocity in the image, px/s right and down, and relative change of depth, 1/s; all in the points' type.
+
+    Points at (x, y) of depth 1, which broadcast, with the inverse depth d in 1/m.
+    """
     vx, vy, vz, wx, wy, wz = velocity.astype(np.float32)
     approach = vz * d + (wx * y - wy * x)  # of P / z: its third component
     right = vx * d + (wy - wz * y) - x * approach
@@ -94,7 +98,7 @@ def _inverse(z: Image) -> Image:
     return np.where(known, d, around)
 
 
-def _depth_at(z: Image, map_u: Image, map_v: Image) -> Image:
+def _depth_at(z: Image, map_u: Floats, map_v: Floats) -> Image:
     """(H, W) depth at places (map_u, map_v): between the pixels of one surface, else the nearest pixel's."""
     marked = np.where(z > 0, z, np.float32(NOTHING))
     nearest = np.asarray(cv2.remap(z, map_u, map_v, cv2.INTER_NEAREST), np.float32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -64,6 +65,14 @@ def test_the_fault_that_was_put_in_is_named_and_no_other(good: Film, name: str, 
     report = check(Recording(faulty, good.groundtruth))
     assert names(report) == [name]
     assert advice(report, name)
+
+
+def test_small_errors_are_noted_with_what_to_write_instead(good: Film) -> None:
+    right, late = (check(Recording(list(frames))) for frames in (good.frames, late_depth(1)(list(good.frames))))
+    assert "readout" in value(right, "camera file") and "camera file" in names(right, Verdict.GOOD)
+    assert names(late) == [] and "camera file" in names(late, Verdict.NOTE)
+    (line,) = re.findall(r"depth_delay_ms = (-?\d+)", advice(late, "camera file"))
+    assert abs(abs(int(line)) - 1000 / 30) < 12
 
 
 @pytest.mark.parametrize("factor", [5.0, 0.2])
