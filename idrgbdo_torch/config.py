@@ -32,6 +32,7 @@ class NoiseConfig:
     huber: Positive = 9.0  # gray levels, over sigma_intensity on the whitened residual (DSO)
     outlier: Positive = 3.0  # robust standard deviations of a point's residual
     depth_residual: bool = True  # beyond the paper: compare the warped with the measured depth
+    coarse: Fraction = 1.0  # share of what level 1 says of a pose that counts on the finest level too
     gradient_blend: Fraction = 0.5  # share of the keyframe's gradient in the Jacobian, the rest is the frame's
 
 
@@ -41,6 +42,8 @@ class SelectionConfig:
 
     mode: Mode = "inf+grid"
     points: Count = 24
+    bits: Annotated[float, Bounds(high=0)] = 0.0  # wanted entropy, log2 of the worst deviation in m or rad; 0: any
+    points_most: Count = 256  # of a pose that is less certain, which gets more points
     per_frame: bool = True  # choose anew when the view has moved by the margin, or only once a keyframe
     objective: Literal["bits", "paper"] = "bits"  # Eq. 18 in bits with a weighted spread, or as printed
     candidates: Count = 600  # kept per keyframe, but at least four times the points

@@ -23,6 +23,7 @@ PATTERN_U, PATTERN_V = np.ascontiguousarray(PATTERN[:, 0]), np.ascontiguousarray
 PIXELS = len(PATTERN)
 LEVELS = 6  # of every pyramid; tracking starts at its configured one, recovery at the coarsest
 COARSE_BLUR = 1.2  # px, standard deviation of the blur of the coarse levels
+WEAKEST = 0.25  # share of the threshold's gradient that a candidate needs at least
 TIER = 65536.0  # what a candidate's tier is worth: above every squared gradient of an 8-bit image
 GRADIENT_NOISE = 0.25  # squared gradient of pure noise over var_intensity, the sensor's share of which is a quarter
 STEP = 8  # numbers a keyframe of the window: [v, w], a, b
@@ -51,6 +52,7 @@ class Noise(NamedTuple):
     use_depth: bool
     paper_variance: bool
     gradient_blend: float  # share of the reference gradient in the Jacobian
+    coarse: float  # share of what level 1 says of a pose that counts on the finest level
 
 
 class Points(NamedTuple):
@@ -107,6 +109,14 @@ class MotionPrior(NamedTuple):
     affine_information: Array  # (2, 2)
 
 
+class Heard(NamedTuple):
+    """What the points of one level say of a pose: normal equations about where their search ended."""
+
+    T_inverse: Array  # (4, 4) inverse of T_target_host there
+    H: Array  # (6, 6) of a left increment
+    b: Array  # (6,)
+
+
 class System(NamedTuple):
     """Normal equations of one pair; filled in place."""
 
@@ -120,7 +130,7 @@ class Aligned(NamedTuple):
 
     T: Array  # (4, 4) T_target_host
     affine: Array  # (2,)
-    H: Array  # (8, 8) with the brightness prior, without the motion prior
+    H: Array  # (8, 8) with the brightness prior and what level 1 says of the pose, without the motion prior
     rms: Array  # (M,) of the fine points
     scale: float  # robust scale of the whitened residuals
     iterations: int
@@ -256,6 +266,7 @@ def kernel_noise(config: NoiseConfig, patch: int = PIXELS) -> Noise:
         use_depth=config.depth_residual,
         paper_variance=config.variance == "paper",
         gradient_blend=config.gradient_blend,
+        coarse=config.coarse,
     )
 
 

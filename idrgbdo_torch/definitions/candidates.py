@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, pad
 
 from ..errors import IdRgbdoError
-from ..measurement import TIER
+from ..measurement import TIER, WEAKEST
 from .convert import SMALLEST, Array
 from .image import gradient as image_gradient
 from .photometric import PATTERN
@@ -60,7 +60,7 @@ def candidate_scores(gradient2: Array, thresholds: Array, block: int, edges: Arr
     limit = torch.from_numpy(thresholds).float()[at_v[:, None], at_u]
     above = g2 > limit
     score = g2 + TIER * above + TIER * (above & on_edge)
-    return np.asarray(torch.where((g2 > 0.25 * limit) & (z > 0), score, -1.0))
+    return np.asarray(torch.where((g2 > WEAKEST**2 * limit) & (z > 0), score, -1.0))
 
 
 def grid_candidates(

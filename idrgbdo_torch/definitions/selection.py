@@ -147,11 +147,13 @@ def select_informative(
     information: Tensor,
     config: SelectionConfig = DEFAULTS,
     where: Tensor | None = None,
+    most: int = 0,
 ) -> Tensor:
-    """Algorithm 1. Indices (<= m,) of the most informative points, in order of choice, from rows A (N, R, D).
+    """Algorithm 1. Indices of the m most informative points, in order of choice, from rows A (N, R, D); fewer if N < m.
 
     information: (D, D) positive definite to begin with, the prior's. radius: (N,). config: objective ("bits" or
     "paper"), spread and c_z, see point_value; with where (N, 2) no two chosen points are closer than its distance (px).
+    After m points it goes on, up to `most`, while worst_entropy_bits is above config.bits.
     This is the definition, O(N m); kernels.selection.select is its fused twin for poses.
     """
     if rows.ndim != 3 or m < 1 or information.shape != (rows.shape[-1],) * 2:
@@ -177,7 +179,11 @@ def select_informative(
     in_bits = config.objective == "bits"
     z = 1.0
     step = 1.0 / max(1, m - rows.shape[-1])
-    while free.any() and len(chosen) < m:
+
+    def wanted() -> bool:
+        return len(chosen) < m or (len(chosen) < most and worst_entropy_bits(information) > config.bits)
+
+    while free.any() and wanted():
         gain = gain_bits(rows, information) if in_bits else determinant_gain(rows, information)
         value = point_value(gain, radius, z, config.c_z, config.spread if in_bits else 1.0)
         take(int(value.where(free, -torch.inf).argmax()))
@@ -185,11 +191,18 @@ def select_informative(
     return torch.tensor(chosen, dtype=torch.int64, device=rows.device)
 
 
-def select_by_definition(rows: Rows, radius: Array, m: int, information: Array, config: SelectionConfig) -> Array:
-    """Algorithm 1 with the configured objective over the rows that are seen: indices (<= m,) in order of choice."""
+def worst_entropy_bits(information: Tensor) -> float:
+    """log2 of the largest standard deviation that an information (D, D) leaves, in the units of the parameters."""
+    return 0.5 * float(torch.linalg.inv(information).diagonal().max().log2())
+
+
+def select_by_definition(
+    rows: Rows, radius: Array, m: int, most: int, information: Array, config: SelectionConfig
+) -> Array:
+    """Algorithm 1 with the configured objective over the rows that are seen: indices (<= most,) in order of choice."""
     visible = np.flatnonzero(rows.seen)
     order = select_informative(
         torch.from_numpy(rows.A[visible]), torch.from_numpy(radius[visible]), m, torch.from_numpy(information), config,
-        torch.from_numpy(rows.where[visible]),
+        torch.from_numpy(rows.where[visible]), most,
     )  # fmt: skip
     return np.asarray(visible[order.numpy()])

@@ -44,6 +44,15 @@ class Prior:
 
 
 @dataclass(frozen=True)
+class Heard:
+    """What the points of one level say of B poses: normal equations about where their search ended."""
+
+    T_target_host: Tensor  # (B, 4, 4) float64
+    H: Tensor  # (B, 6, 6) of a left increment
+    b: Tensor  # (B, 6)
+
+
+@dataclass(frozen=True)
 class Problem:
     """One pyramid level of B pairs."""
 
@@ -63,6 +72,7 @@ class Estimate:
     scale: Tensor  # (B,) robust scale of the finest level
     iterations: Tensor  # (B,) over all levels
     change: Tensor  # (B,) the last step in standard deviations
+    heard: Heard | None = None  # what level 1 says of the pose, where it counts on the finest too
 
 
 def prior_at(T_target_host: Tensor, information: Tensor | None = None, affine: Tensor | None = None) -> Prior:
@@ -79,17 +89,19 @@ def prior_at(T_target_host: Tensor, information: Tensor | None = None, affine: T
     return Prior(T, known.double().expand(B, 6, 6), brightness.double(), spread)
 
 
-def descend(problems: Sequence[Problem], prior: Prior, noise: ResidualNoise) -> Estimate:
+def descend(problems: Sequence[Problem], prior: Prior, noise: ResidualNoise, coarse: float = 0.0) -> Estimate:
     """Damped Gauss-Newton from the prior's pose over the levels, finest first in `problems`, coarsest first in time.
 
     Each pair has its own damping, and rests once it has settled. A level takes the scale of its residuals from the one
     before; the finest has other points, so it finds its own, and a second round works with the outlier limit from the
-    first. The brightness that the many points of level 1 agree on is the prior of the finest.
+    first. The brightness that the many points of level 1 agree on is the prior of the finest. coarse: the share of what
+    they say of the pose that counts there too.
     """
     B, last = len(prior.affine), len(problems) - 1
     nothing = prior.affine.new_zeros(B)
     found = _Found(prior.T_target_host, prior.affine, nothing.long(), nothing)
     scale = prior.affine.new_ones(B)
+    heard = None
     for level in reversed(range(len(problems))):
         problem = problems[level]
         if level in (0, last):  # other points, or none so far to tell the scale
@@ -97,11 +109,14 @@ def descend(problems: Sequence[Problem], prior: Prior, noise: ResidualNoise) -> 
             found = replace(found, rms=first.rms)
         for settled in SETTLED if level == 0 else (SETTLED_COARSE,):
             scale = robust_scale(found.rms)
-            found = _search(problem, found, prior, noise, scale, settled)
+            found = _search(problem, found, prior, noise, scale, settled, heard)
         if level == 1:
+            if coarse > 0:
+                system = _system(problem, found.T, found.affine, noise, scale)
+                heard = heard_of_pose(system, found.T, found.affine, prior, coarse)
             learnt = brightness_information(found.H, prior.affine_information)
             prior = replace(prior, affine=found.affine, affine_information=learnt)
-    return Estimate(found.T, found.affine, prior, scale, found.iterations, found.change)
+    return Estimate(found.T, found.affine, prior, scale, found.iterations, found.change, heard)
 
 
 @dataclass(frozen=True)
@@ -117,12 +132,13 @@ class _Found:
 
 
 def _search(
-    problem: Problem, start: _Found, prior: Prior, noise: ResidualNoise, scale: Tensor, settled: float
-) -> _Found:
+    problem: Problem, start: _Found, prior: Prior, noise: ResidualNoise, scale: Tensor, settled: float,
+    heard: Heard | None,
+) -> _Found:  # fmt: skip
     """One round on one level."""
     T, affine, change, count = start.T, start.affine, start.change, start.iterations
     system = _system(problem, T, affine, noise, scale)
-    H, b, energy = with_prior(system, T, affine, prior)
+    H, b, energy = with_heard(with_prior(system, T, affine, prior), T, heard)
     rms, seen = system.rms, system.seen.sum(-1)
     eye = torch.eye(8, dtype=H.dtype, device=H.device)
     damping = torch.zeros_like(energy)
@@ -135,7 +151,7 @@ def _search(
         change = torch.where(active, (step * b).sum(-1).clamp(min=0).sqrt(), change)
         T_new, affine_new = retract(step[:, :6], T), affine + step[:, 6:]
         system = _system(problem, T_new, affine_new, noise, scale)
-        H_new, b_new, energy_new = with_prior(system, T_new, affine_new, prior)
+        H_new, b_new, energy_new = with_heard(with_prior(system, T_new, affine_new, prior), T_new, heard)
         rms = torch.where(active[:, None], system.rms, rms)
         seen_new = system.seen.sum(-1)
         # a point that leaves the image must not look like a gain
@@ -178,6 +194,29 @@ def with_prior(system: NormalEquations, T: Tensor, affine: Tensor, prior: Prior)
     return H, b, system.energy - (off * push).sum(-1) + (off_affine * pull_affine).sum(-1)
 
 
+def heard_of_pose(system: NormalEquations, T: Tensor, affine: Tensor, prior: Prior, share: float) -> Heard:
+    """A share of what measurements say of poses, with brightness and its prior marginalised (the motion prior is not
+    in it: it counts on every level of its own).
+    """
+    H, b, _ = with_prior(system, T, affine, replace(prior, information=torch.zeros_like(prior.information)))
+    across = torch.linalg.solve(H[:, 6:, 6:], H[:, 6:, :6]).mT  # (B, 6, 2)
+    about_pose = H[:, :6, :6] - across @ H[:, 6:, :6]
+    return Heard(T, share * about_pose, share * (b[:, :6] - (across @ b[:, 6:, None])[..., 0]))
+
+
+def with_heard(
+    equations: tuple[Tensor, Tensor, Tensor], T: Tensor, heard: Heard | None
+) -> tuple[Tensor, Tensor, Tensor]:
+    """H, b and energy (B,), up to a constant, at poses T (B, 4, 4), and what another level said of them."""
+    if heard is None:
+        return equations
+    H, b, energy = equations
+    off = log(T @ inverse(heard.T_target_host))
+    pull = (heard.H @ off[..., None])[..., 0]
+    b = b + pad(heard.b - pull, (0, 2))
+    return H + pad(heard.H, (0, 2, 0, 2)), b, energy + ((pull - 2 * heard.b) * off).sum(-1)
+
+
 def align(
     view: View, points: Points, coarse: Subset, fine: Subset, start: State, prior: MotionPrior, noise: Noise,
     steps: Array,
@@ -200,13 +239,15 @@ def align(
         matrix(prior.affine_information),
     )  # fmt: skip
     with torch.no_grad():
-        found = descend(problems, known, sigma)
+        found = descend(problems, known, sigma, noise.coarse)
         T, affine = found.T_target_host, found.affine
         system = linearise_pairs(
             few, problems[0].target, T, affine, sigma, found.scale, sigma.outlier, problems[0].pixels
         )
     H = system.H[0]
     H[6:, 6:] += found.prior.affine_information[0]
+    if found.heard is not None:
+        H[:6, :6] += found.heard.H[0]
     return Aligned(
         T[0].numpy(), affine[0].numpy(), H.numpy(), system.rms[0].numpy(), float(found.scale), int(found.iterations),
         int(system.seen.sum()), int(system.kept.sum()), float(found.change), found.prior.affine[0].numpy(),

@@ -49,6 +49,7 @@ SWITCHES: dict[str, dict[str, dict[str, Any]]] = {
         }
     },
     "24 points on coarse levels": {"tracking": {"points_coarse": 24}},
+    "coarse levels only start the search": {"noise": {"coarse": 0.0}},
     "patch of 1 pixel": {"tracking": {"patch": 1}},
     "keyframes by Eq. 20 as printed": {"keyframe": {"criterion": "ratio"}},
     "no window": {"window": {"enabled": False}},

@@ -98,9 +98,10 @@ def _why(runs: Iterable[Measured]) -> str:
 
 
 def configured(mode: Mode, points: int) -> Config:
-    """The defaults with another selection, as `idrgbdo run --selection.mode ... --selection.points ...` has it."""
+    """The defaults with another selection, whose points alone count: the coarse levels only say where to start."""
     config = Config()
-    return replace(config, selection=replace(config.selection, mode=mode, points=points))
+    selection = replace(config.selection, mode=mode, points=points)
+    return replace(config, selection=selection, noise=replace(config.noise, coarse=0.0))
 
 
 def _point(mode: Mode, points: int, runs: Mapping[Clip, tuple[Measured, ...]]) -> Point:

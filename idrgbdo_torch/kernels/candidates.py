@@ -6,7 +6,7 @@ from math import sqrt
 
 import numpy as np
 
-from ..measurement import PATTERN_U, PATTERN_V, TIER
+from ..measurement import PATTERN_U, PATTERN_V, TIER, WEAKEST
 from .compiled import kernel
 from .image import sample
 
@@ -117,18 +117,19 @@ def fit_plane(depth, u, v, radius, sigma):
 def candidate_scores(gradient2, thresholds, block, edges, depth):
     """(H, W) float32: squared gradient plus TIER for each tier gained (section 4.1), -1 where there is no candidate.
 
-    A pixel needs depth and half the threshold's gradient; above the threshold it gains a tier, on a Canny edge another.
+    A pixel needs depth and WEAKEST of the threshold's gradient; above the threshold it gains a tier, on a Canny edge
+    another.
     """
     height, width = gradient2.shape
     out = np.empty((height, width), dtype=np.float32)
-    quarter = np.float32(0.25)
+    weakest = np.float32(WEAKEST * WEAKEST)
     nothing = np.float32(-1.0)
     zero = np.float32(0.0)
     one_tier = np.float32(TIER)
     for v in range(height):
         for c in range(thresholds.shape[1]):
             limit = np.float32(thresholds[v // block, c])
-            low = quarter * limit
+            low = weakest * limit
             for u in range(c * block, min(width, (c + 1) * block)):  # no branches, so that this becomes SIMD
                 g2 = gradient2[v, u]
                 above = one_tier if g2 > limit else zero

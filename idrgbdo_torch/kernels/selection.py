@@ -141,12 +141,13 @@ def all_gains(columns, C):
 
 
 @kernel
-def select(rows, radius, m, information, spread, c_z, distance):
+def select(rows, radius, m, most, information, bits, spread, c_z, distance):
     """Algorithm 1 over whitened rows, lazily: a gain can only shrink as points join, so a stale gain is a bound.
 
     radius: (N,) 0 at the principal point to 1; information: (6, 6) start, positive definite; spread: weight of the
     second term of Eq. 18 in bits; distance: px between chosen points (overlapping patches measure the same thing).
-    Returns the chosen indices (<= m,) in order of choice.
+    After m points it goes on, up to `most`, while the worst entropy of the pose is above `bits`.
+    Returns the chosen indices (<= most,) in order of choice.
     """
     A, seen, where = rows.A, rows.seen, rows.where
     n = A.shape[0]
@@ -157,7 +158,7 @@ def select(rows, radius, m, information, spread, c_z, distance):
         barred[i] = 0.0 if seen[i] else -np.inf
         u[i] = where[i, 0]
         v[i] = where[i, 1]
-    chosen = np.empty(m, dtype=np.int64)
+    chosen = np.empty(most, dtype=np.int64)
     if n == 0:
         return chosen[:0]
     count = 0
@@ -197,7 +198,7 @@ def select(rows, radius, m, information, spread, c_z, distance):
     leader = np.empty(blocks, dtype=np.int64)  # the best of each block, so that a correction costs a block, not all
     steps = max(1, m - 6)
     z = 1.0
-    while count < m:
+    while count < m or (count < most and worst_entropy(C) > bits):
         for i in range(n):
             value[i] = gains[i] + spread / (c_z * (radius[i] - z) ** 2 + 1.0) + barred[i]
         for block in range(blocks):
@@ -225,6 +226,15 @@ def select(rows, radius, m, information, spread, c_z, distance):
         bar(barred, u, v, best, distance2)
         z = max(0.0, z - 1.0 / steps)
     return chosen[:count]
+
+
+@kernel
+def worst_entropy(C):
+    """log2 of the largest standard deviation of a covariance (6, 6), in m or rad."""
+    worst = C[0, 0]
+    for k in range(1, 6):
+        worst = max(worst, C[k, k])
+    return 0.5 * log(worst) / log(2.0)
 
 
 @kernel

@@ -6,10 +6,10 @@ from math import sqrt
 
 import numpy as np
 
-from ..measurement import FLOOR, SETTLED, SETTLED_COARSE, Aligned, State, System
+from ..measurement import FLOOR, SETTLED, SETTLED_COARSE, Aligned, Heard, State, System
 from .compiled import kernel
 from .linearise import linearise
-from .se3 import compose, log_se3, retract
+from .se3 import compose, inverse, log_se3, retract
 from .solver import dot, solve_spd
 
 
@@ -59,7 +59,8 @@ def align(view, points, coarse, fine, start, prior, noise, steps):
     """Coarse-to-fine damped Gauss-Newton of a view against a keyframe's points, from a State (Aligned).
 
     coarse, fine: Subsets for the finest level and for the others. prior: MotionPrior, of the brightness about the
-    start's. steps: (L,) most iterations per level, finest first; the pyramid may have more levels.
+    start's. steps: (L,) most iterations per level, finest first; the pyramid may have more levels. What level 1 says of
+    the pose counts on the finest level too, by the share noise.coarse.
     """
     state = State(start.T.copy(), start.affine.copy())
     affine_centre = start.affine
@@ -72,6 +73,7 @@ def align(view, points, coarse, fine, start, prior, noise, steps):
     seen = 0
     kept = 0
     change = 0.0
+    heard = Heard(prior.T_inverse, np.zeros((6, 6)), np.zeros(6))  # nothing so far
     for level in range(steps.shape[0] - 1, -1, -1):
         finest = level == 0
         subset = fine if finest else coarse
@@ -87,6 +89,7 @@ def align(view, points, coarse, fine, start, prior, noise, steps):
             limit = noise.outlier
             energy, seen, kept = linearise(view, level, points, subset, state, scale, limit, noise, system)
             energy += prior_terms(system, state, affine_centre, prior, affine_prior)
+            energy += heard_terms(system, state, heard)
             damping = 0.0
             iterations = 0
             while iterations < steps[level]:
@@ -101,6 +104,7 @@ def align(view, points, coarse, fine, start, prior, noise, steps):
                 new = State(retract(step[:6], state.T), state.affine + step[6:])
                 energy_new, seen_new, kept_new = linearise(view, level, points, subset, new, scale, limit, noise, trial)
                 energy_new += prior_terms(trial, new, affine_centre, prior, affine_prior)
+                energy_new += heard_terms(trial, new, heard)
                 # a point that leaves the image must not look like a gain
                 lost = max(0, seen - seen_new)
                 if np.isfinite(energy_new) and energy_new + lost * subset.pixels <= energy:
@@ -120,6 +124,8 @@ def align(view, points, coarse, fine, start, prior, noise, steps):
                     break
             total += iterations
         if level == 1:
+            if noise.coarse > 0.0:
+                heard = heard_of_pose(system, state, prior, noise.coarse)
             # many coarse points know the brightness better than a few fine ones: it becomes their prior
             affine_prior = brightness_information(system.H, affine_prior)
             affine_centre = state.affine.copy()
@@ -128,6 +134,7 @@ def align(view, points, coarse, fine, start, prior, noise, steps):
     for k in range(2):
         for j in range(2):
             system.H[6 + k, 6 + j] += affine_prior[k, j]
+    system.H[:6, :6] += heard.H
     return Aligned(
         state.T, state.affine, system.H, system.rms, scale, total, seen, kept, change, affine_centre, affine_prior
     )
@@ -154,6 +161,44 @@ def prior_terms(system, state, affine_centre, prior, affine_prior):
     energy += (
         affine_prior[0, 0] * off0 * off0 + 2.0 * affine_prior[0, 1] * off0 * off1 + affine_prior[1, 1] * off1 * off1
     )
+    return energy
+
+
+@kernel
+def heard_of_pose(system, state, prior, share):
+    """A share of what the points of a level say of the pose where its search ended, brightness marginalised (Heard).
+
+    system: with the priors, of which the motion's is taken off again.
+    """
+    H, b = system.H, system.b
+    from_prior = log_se3(compose(state.T, prior.T_inverse))
+    out = Heard(inverse(state.T), np.zeros((6, 6)), np.zeros(6))
+    det = H[6, 6] * H[7, 7] - H[6, 7] * H[7, 6]
+    if not det > 0.0:
+        return out
+    for i in range(6):
+        on_gain = (H[i, 6] * H[7, 7] - H[i, 7] * H[7, 6]) / det
+        on_offset = (H[i, 7] * H[6, 6] - H[i, 6] * H[6, 7]) / det
+        own = b[i] + dot(prior.information[i], from_prior)
+        out.b[i] = share * (own - on_gain * b[6] - on_offset * b[7])
+        for j in range(6):
+            own = H[i, j] - prior.information[i, j]
+            out.H[i, j] = share * (own - on_gain * H[6, j] - on_offset * H[7, j])
+    return out
+
+
+@kernel
+def heard_terms(system, state, heard):
+    """Add what was Heard of the pose to the system; returns its energy, up to a constant."""
+    H, b = system.H, system.b
+    off = log_se3(compose(state.T, heard.T_inverse))
+    energy = 0.0
+    for i in range(6):
+        pull = dot(heard.H[i], off)
+        energy += (pull - 2.0 * heard.b[i]) * off[i]
+        b[i] += heard.b[i] - pull
+        for j in range(6):
+            H[i, j] += heard.H[i, j]
     return energy
 
 

@@ -70,8 +70,10 @@ class Backend(Protocol):
     ) -> Rows:
         """What some points tell about a pose T_target_host (4, 4)."""
 
-    def select(self, rows: Rows, radius: Array, m: int, information: Array, config: SelectionConfig) -> Array:
-        """Algorithm 1: indices (<= m,) in order of choice."""
+    def select(
+        self, rows: Rows, radius: Array, m: int, most: int, information: Array, config: SelectionConfig
+    ) -> Array:
+        """Algorithm 1: indices (<= most,) in order of choice; more than m while the entropy is above config.bits."""
 
     # tracking (section 4.2) and its verification
 

@@ -80,7 +80,7 @@ def kernel_noise_of(noise: ResidualNoise, depth: bool) -> Noise:
     intensity, pixel, reading = (float(x) for x in (noise.sigma_intensity, noise.sigma_pixel, noise.sigma_depth))
     return Noise(
         intensity**2, noise.shared * pixel**2, reading**2, noise.shared, noise.c_h, noise.huber, noise.outlier,
-        noise.use_depth and depth, noise.mode == "paper", noise.gradient_blend,
+        noise.use_depth and depth, noise.mode == "paper", noise.gradient_blend, 0.0,
     )  # fmt: skip
 
 

@@ -19,6 +19,8 @@ Index = NDArray[np.int64]
 BLOCK = 32  # px, region of the adaptive threshold (DSO)
 THRESHOLD_OFFSET = 7.0  # gray levels above the region's median gradient (DSO)
 CANNY = (50, 200)  # gray levels (RGBDTAM)
+STRONG = 0.5  # share of the threshold's gradient that a candidate has
+ENOUGH = 0.5  # share of the candidates that are wanted, under which weaker ones are taken too
 PLANE_RADIUS = 3  # px, neighbourhood that a point's inverse depth is fitted to
 BORDER = 4  # px, room for the patch and its gradients
 EVERYWHERE = 8  # px, side of a grid cell in mode "inf": as good as no grid, without patches on top of each other
@@ -54,7 +56,10 @@ def extract_candidates(frame: Frame, config: Config, rng: Generator, backend: Ba
     cell = everywhere if mode == "inf" else grid
     scores = backend.candidate_scores(gradient2, thresholds, BLOCK, edges, depth)
     uv, inv_depth, _ = backend.grid_candidates(scores, depth, cell, BORDER, PLANE_RADIUS, sigma)
-    return uv, inv_depth
+    u, v = uv.astype(np.int64).T
+    strong = gradient2[v, u] > STRONG**2 * thresholds[v // BLOCK, u // BLOCK]
+    enough = strong.sum() >= ENOUGH * config.candidates
+    return (uv[strong], inv_depth[strong]) if enough else (uv, inv_depth)
 
 
 def without_speckles(depth: Array) -> Array:

@@ -66,8 +66,10 @@ class Defined:
     ) -> Rows:
         return whitened_rows(camera, margin, points, index, T, noise)
 
-    def select(self, rows: Rows, radius: Array, m: int, information: Array, config: SelectionConfig) -> Array:
-        return select_by_definition(rows, radius, m, information, config)
+    def select(
+        self, rows: Rows, radius: Array, m: int, most: int, information: Array, config: SelectionConfig
+    ) -> Array:
+        return select_by_definition(rows, radius, m, most, information, config)
 
     def align(
         self, view: View, points: Points, coarse: Subset, fine: Subset, start: State, prior: MotionPrior, noise: Noise,

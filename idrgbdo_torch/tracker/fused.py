@@ -74,12 +74,15 @@ class Fused:
         out: Rows = selection.whitened_rows(cam, camera.width, camera.height, margin, points, index, T, noise)
         return out
 
-    def select(self, rows: Rows, radius: Array, m: int, information: Array, config: SelectionConfig) -> Array:
+    def select(
+        self, rows: Rows, radius: Array, m: int, most: int, information: Array, config: SelectionConfig
+    ) -> Array:
         if config.objective != "bits":  # such as |Lambda| of about 1e41: only the definition has them
-            return select_by_definition(rows, radius, m, information, config)
+            return select_by_definition(rows, radius, m, most, information, config)
         out: Array = selection.select(
-            rows, radius, m, information, float(config.spread), float(config.c_z), config.distance
-        )
+            rows, radius, m, most, information, float(config.bits), float(config.spread), float(config.c_z),
+            config.distance,
+        )  # fmt: skip
         return out
 
     def align(

@@ -207,7 +207,7 @@ class IdRgbdo(Shown):
         index = self._select(keyframe, np.eye(4), few, prior, self.noise)
         if windowed:
             chosen = index if many == few else self._select(keyframe, np.eye(4), many, prior, self.noise)
-            keyframe = self._refine(keyframe, chosen)
+            keyframe = self._refine(keyframe, chosen[:many])  # an uncertain pose has more points, the window has not
         self.history.condense()
         self.reference = Reference(keyframe, self.motion.T_cam_world, self.motion.turn, index)
         self.history.remember(keyframe, self.backend)

@@ -32,7 +32,10 @@ def select_points(
     rng: Generator,
     backend: Backend,
 ) -> Index:
-    """At most m candidates of a keyframe for a frame at the pose T_frame_kf, by the configured mode."""
+    """m candidates of a keyframe for a frame at the pose T_frame_kf, by the configured mode; fewer if it has less.
+
+    By information, there are more where these leave an entropy above config.bits.
+    """
     everyone = np.arange(len(keyframe.points.uv))
     margin = view_margin(config.margin, keyframe.frame.camera) - ROUNDING
     rows = backend.whitened_rows(keyframe.frame.camera, margin, keyframe.points, everyone, T_frame_kf, noise)
@@ -42,7 +45,8 @@ def select_points(
         return np.sort(np.argsort(key)[: min(m, int(seen.sum()))])
     if config.mode == "grid":
         return strongest_of_cells(rows.where, seen, keyframe, m)
-    return backend.select(rows, keyframe.radius, m, information, config)
+    most = max(m, config.points_most) if config.bits < 0.0 else m
+    return backend.select(rows, keyframe.radius, m, most, information, config)
 
 
 def view_margin(margin: float, camera: Pinhole) -> float:

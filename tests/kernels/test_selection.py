@@ -87,7 +87,7 @@ def test_the_lazy_choice_is_algorithm_1(seed: int, distance: float) -> None:
     information = np.diag(rng.uniform(0.1, 1, 6))
     visible = np.flatnonzero(seen)
     for m in (1, 4, 6, 24, 60):
-        mine = choice.select(Rows(A, seen, where), radius, m, information, 0.5, 25.0, distance)
+        mine = choice.select(Rows(A, seen, where), radius, m, m, information, 0.0, 0.5, 25.0, distance)
         expected = select_informative(
             torch.from_numpy(A[visible]), torch.from_numpy(radius[visible]), m, torch.from_numpy(information),
             SelectionConfig(spread=0.5, distance=distance), torch.from_numpy(where[visible]),
@@ -98,13 +98,35 @@ def test_the_lazy_choice_is_algorithm_1(seed: int, distance: float) -> None:
         assert gaps.min() >= distance
 
 
+@pytest.mark.parametrize("bits", [-1.0, -3.4, -3.6, -9.0])
+def test_an_uncertain_pose_gets_more_points(bits: float) -> None:
+    """As many as it takes to know the worst freedom to so many bits, at least m, at most `most`."""
+    rng = np.random.default_rng(0)
+    A = rng.standard_normal((300, 3, 6)) * [1, 1, 1, 3, 3, 3] * rng.uniform(0.1, 2.0, (300, 1, 1))
+    where, radius = rng.uniform(0, [320, 240], (300, 2)), rng.uniform(0, 1, 300)
+    rows, information = Rows(A, np.ones(300, np.bool_), where), np.diag(rng.uniform(0.1, 1, 6))
+    chosen = choice.select(rows, radius, 8, 40, information, bits, 0.5, 25.0, 0.0)
+    config = SelectionConfig(bits=bits, spread=0.5, distance=0.0)
+    start = torch.from_numpy(information)
+    expected = select_informative(torch.from_numpy(A), torch.from_numpy(radius), 8, start, config, most=40)
+    assert chosen.tolist() == expected.tolist()
+
+    def worst(count: int) -> float:
+        known = information + np.einsum("nri,nrj->ij", A[chosen[:count]], A[chosen[:count]])
+        return float(np.log2(np.linalg.inv(known).diagonal().max()) / 2)
+
+    assert choice.worst_entropy(np.linalg.inv(information)) == pytest.approx(worst(0))
+    assert len(chosen) == next((n for n in range(8, 40) if worst(n) <= bits), 40)
+    assert {-1.0: len(chosen) == 8, -9.0: len(chosen) == 40}.get(bits, 8 < len(chosen) < 40)
+
+
 def test_a_freedom_that_no_point_sees_does_not_stop_the_choice() -> None:
     rng = np.random.default_rng(0)
     A = rng.standard_normal((50, 3, 6))
     A[:, :, 1] = 0.0
     where, radius, information = rng.uniform(0, 300, (50, 2)), rng.uniform(0, 1, 50), 1e-3 * np.eye(6)
     rows = Rows(A, np.ones(50, dtype=np.bool_), where)
-    mine = choice.select(rows, radius, 12, information, 0.5, 25.0, 0.0)
+    mine = choice.select(rows, radius, 12, 12, information, 0.0, 0.5, 25.0, 0.0)
     expected = select_informative(
         torch.from_numpy(A), torch.from_numpy(radius), 12, torch.from_numpy(information), SelectionConfig(spread=0.5)
     )
@@ -116,7 +138,7 @@ def test_running_out_of_points_ends_the_choice() -> None:
     where = np.zeros((9, 2))
     where[:, 0] = [0, 1, 2, 3, 100, 101, 102, 200, 300]
     rows = Rows(A, np.ones(9, dtype=np.bool_), where)
-    chosen = choice.select(rows, np.zeros(9), 24, np.eye(6), 0.5, 25.0, 6.0)
+    chosen = choice.select(rows, np.zeros(9), 24, 24, np.eye(6), 0.0, 0.5, 25.0, 6.0)
     assert sorted(where[chosen, 0] // 100) == [0, 1, 2, 3]
 
 

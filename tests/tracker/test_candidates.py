@@ -11,10 +11,11 @@ import torch
 from rendered import Film
 
 from idrgbdo_torch.config import Config, Mode
+from idrgbdo_torch.definitions.camera import Pinhole
 from idrgbdo_torch.definitions.image import gradient, sample_with_gradient
-from idrgbdo_torch.frame import Frame, prepare
+from idrgbdo_torch.frame import Frame, RgbdFrame, prepare
 from idrgbdo_torch.kernels import candidates as fused
-from idrgbdo_torch.measurement import PATTERN_U, PATTERN_V, kernel_noise
+from idrgbdo_torch.measurement import PATTERN_U, PATTERN_V, WEAKEST, kernel_noise
 from idrgbdo_torch.odometry import Status, run
 from idrgbdo_torch.synthetic.disturbance import with_holes
 from idrgbdo_torch.tracker.backends import backend_named
@@ -24,6 +25,7 @@ from idrgbdo_torch.tracker.candidates import (
     CANNY,
     PLANE_RADIUS,
     THRESHOLD_OFFSET,
+    extract_candidates,
     spread_out,
     without_speckles,
 )
@@ -127,7 +129,7 @@ def test_one_candidate_a_cell_the_strongest_of_its_best_tier(frame: Frame) -> No
     scores = fused.candidate_scores(g2, thresholds, BLOCK, edges, frame.depth)
     uv, inv_depth, tier = fused.grid_candidates(scores, frame.depth, cell, BORDER, PLANE_RADIUS, SIGMA)
     limit = np.kron(thresholds, np.ones((BLOCK, BLOCK)))[: g2.shape[0], : g2.shape[1]]
-    tiers = np.where(g2 > limit, np.where(edges, 2, 1), np.where(g2 > 0.25 * limit, 0, -1))
+    tiers = np.where(g2 > limit, np.where(edges, 2, 1), np.where(g2 > WEAKEST**2 * limit, 0, -1))
     tiers[frame.depth <= 0] = -1
     height, width = g2.shape
     expected = []
@@ -145,6 +147,19 @@ def test_one_candidate_a_cell_the_strongest_of_its_best_tier(frame: Frame) -> No
     assert len(expected) > 60
     np.testing.assert_allclose(np.column_stack([uv, inv_depth, tier]), expected, rtol=1e-12)
     assert set(tier) == {0, 1, 2}
+
+
+def test_where_there_is_little_texture_weak_texture_is_taken() -> None:
+    """On a bare wall the threshold is 7 gray levels a px: faint smears of 2 are all there is, noise of 1 is nothing."""
+    u = np.arange(320) % 64
+    smears = np.tile(2.2 * np.minimum(np.minimum(u, 16 - u).clip(0), 8), (240, 1)).astype(np.float32)
+    wall, camera = torch.full((240, 320), 2.0), Pinhole(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5)
+    for size, found in ((1.0, True), (0.5, False)):
+        gray = torch.from_numpy(100 + np.float32(size) * smears)
+        frame = prepare(RgbdFrame(0.0, gray, wall, camera))
+        uv, _ = extract_candidates(frame, Config(), np.random.default_rng(0), FUSED)
+        assert (len(uv) > 50) == found
+        assert not found or (u[uv[:, 0].astype(int)] < 17).all()
 
 
 def test_patches_are_samples_of_every_level(frame: Frame) -> None:

@@ -218,10 +218,12 @@ VARIANTS = {
     "rand": (config(selection=SelectionConfig(mode="rand")), 0.006),
     "grid": (config(selection=SelectionConfig(mode="grid")), 0.003),
     "inf": (config(selection=SelectionConfig(mode="inf")), 0.003),
+    "wanted entropy": (config(selection=SelectionConfig(bits=-13.0), window=WindowConfig(points=40)), 0.002),
     "once a keyframe": (config(selection=SelectionConfig(per_frame=False)), 0.005),
     "objective as printed": (config(selection=SelectionConfig(objective="paper")), 0.003),
     "variance as printed": (config(noise=NoiseConfig(variance="paper")), 0.003),
     "no depth residual": (config(noise=NoiseConfig(depth_residual=False)), 0.005),
+    "coarse levels forgotten": (config(noise=NoiseConfig(coarse=0.0)), 0.003),
     "frame gradients": (config(noise=NoiseConfig(gradient_blend=0.0)), 0.003),
     "keyframe gradients": (config(noise=NoiseConfig(gradient_blend=1.0)), 0.003),
     "no window": (config(window=WindowConfig(enabled=False)), 0.005),
@@ -246,6 +248,8 @@ def test_every_option_works(desk: Film, name: str) -> None:
     keyframes = sum(record.result.keyframe for record in done.records)
     assert keyframes == 1 if name == "one keyframe" else keyframes > 1 or len(frames) < 30
     assert keyframes >= 10 or name != "many keyframes"
+    points = [record.result.points for record in done.records if record.result.points]
+    assert max(points) > 60 if name == "wanted entropy" else max(points) <= config.selection.points
 
 
 @pytest.mark.parametrize(("name", "limit"), [("paper", 0.01), ("fast", 0.004), ("accurate", 0.001)])

@@ -171,7 +171,7 @@ def test_bad_input_says_what_to_do(shape: tuple[int, ...], D: int, m: int) -> No
 
 def test_nothing_to_choose_from() -> None:
     nothing = Rows(np.zeros((0, 3, 6)), np.zeros(0, np.bool_), np.zeros((0, 2)))
-    none = choice.select(nothing, np.zeros(0), 24, np.eye(6), 0.5, 25.0, 6.0)
+    none = choice.select(nothing, np.zeros(0), 24, 24, np.eye(6), 0.0, 0.5, 25.0, 6.0)
     assert none.tolist() == []
     assert select_informative(torch.zeros(0, 3, 6), torch.zeros(0), 24, torch.eye(6)).tolist() == []
 

@@ -72,6 +72,27 @@ def test_the_fused_prior_is_eq_19_about_the_predicted_pose() -> None:
     np.testing.assert_allclose(affine + step[6:], centre)
 
 
+def test_what_a_level_heard_is_its_equations_without_the_motion_prior_and_the_brightness() -> None:
+    xi, xi_prior = twists(2, size=0.1)
+    T, T_prior = se3.exp(xi), se3.exp(xi_prior)
+    J, K = twists(10, seed=1), torch.randn(30, 8, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    H, b = (K.mT @ K).numpy(), (K.mT @ torch.ones(30, dtype=torch.float64)).numpy()
+    state, nothing = State(T.numpy(), np.zeros(2)), np.zeros((2, 2))
+    prior = MotionPrior(se3.inverse(T_prior).numpy(), (J.mT @ J).numpy(), nothing)
+    system = System(H.copy(), b.copy(), np.zeros(0))
+    alignment.prior_terms(system, state, np.zeros(2), prior, nothing)
+    heard = alignment.heard_of_pose(system, state, prior, 0.5)
+    np.testing.assert_allclose(heard.H, 0.5 * pose_information(H), rtol=1e-8)
+    step = np.linalg.solve(heard.H, heard.b)
+    np.testing.assert_allclose(step, np.linalg.solve(H, b)[:6], rtol=1e-8)  # where the level itself would go
+    system = System(np.zeros((8, 8)), np.zeros(8), np.zeros(0))
+    away = State(se3.retract(torch.from_numpy(step), T).numpy(), np.zeros(2))
+    energy = alignment.heard_terms(system, away, heard)
+    np.testing.assert_allclose(system.b, 0.0, atol=1e-8)  # the best pose, by that alone
+    assert energy == pytest.approx(-step @ heard.b)
+    assert alignment.heard_terms(system, state, heard) == pytest.approx(0.0, abs=1e-12)
+
+
 def test_motion_information_is_that_of_a_change_of_velocity() -> None:
     sigma = np.sqrt(np.diag(np.linalg.inv(motion_information(CONFIG, 1 / 30))))
     np.testing.assert_allclose(sigma[:3], CONFIG.tracking.sigma_velocity / 30)
@@ -135,6 +156,23 @@ def test_tracking_finds_a_known_motion(cases: list[Case]) -> None:
     assert (errors[24] < [0.002, 0.1]).all()
     assert (errors[256] < [0.001, 0.05]).all()
     assert errors[256][:, 0].mean() < 0.8 * errors[24][:, 0].mean()
+
+
+def test_what_level_1_says_of_a_pose_counts_on_the_finest(cases: list[Case]) -> None:
+    """Many coarse points help a few fine ones, and all that they know is in the information."""
+    deaf = NOISE._replace(coarse=0.0)
+    errors: dict[bool, list[float]] = {True: [], False: []}
+    for case in cases:
+        coarse, index = Subset(case.keyframe.coarse, PIXELS), case.choose(8)
+        alone, both = (
+            track_frame(case.pair(noise=noise), State(EYE, NO_CHANGE), index, coarse, PRIOR, 4)
+            for noise in (deaf, NOISE)
+        )
+        errors[False].append(case.error(alone)[0])
+        errors[True].append(case.error(both)[0])
+        bits = [freedom_entropies_bits(torch.from_numpy(found.information)) for found in (alone, both)]
+        assert (bits[1] < bits[0] - 0.3).all()
+    assert np.mean(errors[True]) < 0.7 * np.mean(errors[False])
 
 
 def test_points_are_chosen_ones_and_all_but_a_few_are_used(cases: list[Case]) -> None:
