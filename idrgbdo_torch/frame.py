@@ -277,3 +277,4 @@ class Keyframe:
     coarse: Image  # (M,) indices spread over the image, for the coarse levels
     witnesses: Image  # (W,) the same for verification, which takes more than a few
     intruded: bool = False  # something moved in front of it, whose points are left out and whose depth is negative
+    sharp: float = 1.0  # its sharpness over that of the last keyframe that was not blurred

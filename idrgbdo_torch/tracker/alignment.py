@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..measurement import LEVELS, State, Subset
+from .doubt import align_blurred, is_blurred
 from .features import start_from_features
 from .intruder import hidden
 from .keyframe import all_patches
-from .tracking import Pair, Tracked, track_frame
+from .tracking import Pair, Tracked, track_closely, track_frame
 from .verification import LIMITS, Verdict, verify
 
 Array = NDArray[np.float64]
@@ -24,6 +25,8 @@ QUICK_STRIDE = 2  # of the coarse points, every second one
 QUICK_PIXELS = 1  # of a coarse point's patch, likewise
 NEAR_LEVELS = 3  # for a start within some pixels: views far apart are alike in detail, but not in the large
 EXPECTED_PX = 2.0  # mean distance in the image between the predicted and the measured pose of such a frame
+WIDE_PX = 12.0  # the same, from which on each chosen point errs by more: all spread-out ones say where the frame is
+WIDE_IN_VIEW = 0.6  # share of them that must be in view; fewer stand on one side
 FEWEST_BESIDE = 24  # points beside something in front that are worth a try
 NOTHING = (
     Tracked(np.eye(4), np.zeros(2), np.zeros((6, 6)), 0, 0, np.zeros(0, np.int64), np.zeros(0)),
@@ -48,6 +51,8 @@ def align(
         verdict = verify(pair, tracked)
         surprise_px = displacement(pair, start.T, tracked.T_frame_kf)
         if surprise_px < EXPECTED_PX and not verdict.doubt(LIMITS.sure):
+            if is_blurred(pair, tracked.T_frame_kf, verdict):
+                tracked, verdict = align_blurred(pair, tracked, information)
             return tracked, verdict, surprise_px
     tracked = track_frame(pair, start, index, Subset(coarse, pixels), information, levels)
     verdict = verify(pair, tracked)
@@ -55,6 +60,10 @@ def align(
         again, second = align_beside(pair, start, index, information, levels)
         if second.score > verdict.score:
             tracked, verdict = again, second
+    if is_blurred(pair, tracked.T_frame_kf, verdict):
+        tracked, verdict = align_blurred(pair, tracked, information)
+        if not verdict.doubt(LIMITS.lost):
+            return tracked, verdict, displacement(pair, start.T, tracked.T_frame_kf)
     if verdict.doubt(LIMITS.weak):
         again, second = recover(pair, [start.T, resting], start.affine, index)
         if second.score > verdict.score:
@@ -63,7 +72,20 @@ def align(
         again, second = recover_by_features(pair, start.affine, index)
         if second.score > verdict.score or (second.supported and not second.doubt(LIMITS.lost)):
             tracked, verdict = again, second
-    return tracked, verdict, displacement(pair, start.T, tracked.T_frame_kf)
+    surprise_px = displacement(pair, start.T, tracked.T_frame_kf)
+    if surprise_px > WIDE_PX and not verdict.doubt(LIMITS.weak):
+        tracked, verdict = align_wide(pair, tracked, verdict)
+    return tracked, verdict, surprise_px
+
+
+def align_wide(pair: Pair, tracked: Tracked, verdict: Verdict) -> tuple[Tracked, Verdict]:
+    """A pose once more, with all spread-out points, where these are many and seen from all sides."""
+    few = len(pair.keyframe.coarse) < QUICK_POINTS
+    if few or verdict.visible < WIDE_IN_VIEW or verdict.hidden > LIMITS.in_front:
+        return tracked, verdict
+    again = track_closely(pair, tracked, FREE)
+    second = verify(pair, again)
+    return (tracked, verdict) if second.doubt(LIMITS.weak) else (again, second)
 
 
 def align_beside(pair: Pair, start: State, index: Index, information: Array, levels: int) -> tuple[Tracked, Verdict]:

@@ -15,6 +15,7 @@ from ..kernels.se3 import inverse
 from ..measurement import LEVELS, Noise, State, Subset
 from .alignment import FREE, displacement
 from .backends import Backend
+from .doubt import BLURRED, sharpness
 from .members import Members
 from .tracking import Pair, Tracked, track_frame
 from .verification import LIMITS, Verdict, verify
@@ -39,6 +40,8 @@ def held_against(
     """
     if len(members.keyframes) < 2 or not unlike(verdict):
         return tracked, verdict
+    if sharpness(Pair(frame, members.keyframes[-1], noise, backend), tracked.T_frame_kf) < BLURRED:
+        return tracked, verdict  # it looks otherwise to any of them
     (a_newest, b_newest), gain = members.affine[-1], np.exp(tracked.affine[0])
     a, b = tracked.affine[0] + a_newest, gain * b_newest + tracked.affine[1]
     for keyframe, T_kf_world, (a_kf, b_kf) in zip(members.keyframes[:-1], members.T, members.affine, strict=False):

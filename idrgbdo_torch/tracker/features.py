@@ -169,6 +169,6 @@ def refined_perspective(T: Array, P: Array, uv: Array, camera: Array) -> Array:
     return out if found and np.isfinite(out).all() else T
 
 
-def start_from_features(frame: Frame, keyframe: Frame) -> Perspective | None:
-    """The pose T_frame_kf that the features of both give; None where too few agree."""
-    return pose_from_features(features(keyframe, FULL), features(frame, FULL), frame.intrinsics[FULL])
+def start_from_features(frame: Frame, keyframe: Frame, level: int = FULL) -> Perspective | None:
+    """The pose T_frame_kf that the features of both give on a level; None where too few agree."""
+    return pose_from_features(features(keyframe, level), features(frame, level), frame.intrinsics[level])

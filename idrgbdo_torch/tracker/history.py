@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from ..definitions.growing import Column
 from ..frame import Keyframe
-from ..kernels.se3 import inverse
+from ..kernels.se3 import inverse, log_se3, retract
 from ..trajectory import Trajectory, timed
 from .backends import Backend
+from .doubt import LONGEST, SETTLED
 from .mapping import LIMIT, NOTHING, Cloud, Kept, condense, keyframe_cloud, world_cloud
 from .places import APART, Places
 from .smoothing import Departure, Departures, between, smooth_keyframes
@@ -45,6 +46,9 @@ class History:
     segment: int = 0  # in which the camera is; a new one begins where a lost track starts anew
     segments: Column = field(default_factory=lambda: Column("int64"))  # of keyframes, until they join an earlier one
     places: Places = field(default_factory=Places)  # where a lost frame may be found again
+    doubted: int | None = None  # number of the first keyframe that hangs on a blurred one, see doubt; None without
+    doubtful_frames: int = 0  # since then,
+    sharp_frames: int = 0  # and those of them that were measured by keyframes that are not blurred themselves
 
     def add_frame(self, timestamp: float, T_cam_kf: Array) -> None:
         """A frame at a pose against the newest keyframe."""
@@ -77,6 +81,41 @@ class History:
             if backend.displacement(camera, points, coarse, np.eye(4), T) < APART * keyframe.frame.camera.width:
                 return
         self.places.add(number, keyframe)
+
+    def doubt(self, newest: Keyframe) -> None:
+        """Keyframes from the next one on are in doubt; the newest one before is where it may end."""
+        self.doubted, self.doubtful_frames, self.sharp_frames = len(self.keyframe_poses), 0, 0
+        if max((place.number for place in self.places.kept), default=-1) < self.in_window[-1]:
+            self.places.add(self.in_window[-1], newest)
+
+    @property
+    def settles(self) -> bool:
+        """Whether a doubt has lasted for so long that what is seen now is taken as it is."""
+        return self.doubted is not None and (self.sharp_frames >= SETTLED or self.doubtful_frames >= LONGEST)
+
+    @property
+    def doubt_reason(self) -> str:
+        """Why a pose against the newest keyframe is not to be believed, empty where it is."""
+        if self.doubted is None:
+            return ""
+        return f"measured by keyframes since {self.keyframe_times[self.doubted]:.3f} s, which was blurred"
+
+    def known(self, number: int) -> bool:
+        """Whether a keyframe is in no doubt."""
+        return self.doubted is None or number < self.doubted
+
+    def settle(self, timestamp: float, T_doubted: Array | None, T_cam_world: Array) -> None:
+        """The doubt ends: a frame was said to be at T_doubted (4, 4), and is at T_cam_world.
+
+        The keyframes in doubt are corrected by their share of that in time.
+        """
+        first, self.doubted = self.doubted, None
+        if first is None or T_doubted is None:
+            return
+        correction, begin = log_se3(inverse(T_doubted) @ T_cam_world), self.keyframe_times[first - 1]
+        for number in range(first, len(self.keyframe_poses)):
+            share = (self.keyframe_times[number] - begin) / (timestamp - begin)
+            self.keyframe_poses[number] = self.keyframe_poses[number] @ retract(share * correction, np.eye(4))
 
     def refine(self, poses: Array) -> None:
         """The window's keyframes have new poses (K, 4, 4)."""

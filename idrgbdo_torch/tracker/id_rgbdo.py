@@ -14,22 +14,21 @@ from ..definitions.given import rigid
 from ..frame import Frame, Keyframe, RgbdFrame, check_next
 from ..kernels.se3 import inverse
 from ..measurement import Noise, State, kernel_noise, with_blur
-from ..odometry import Status, TrackResult
+from ..odometry import TrackResult
 from .alignment import align, displacement
 from .backends import backend_named
 from .between import LATE_COLOR, track_between
+from .doubt import BLURRED, KEPT_IN_VIEW, sharpness, sharpness_since
 from .elders import held_against
 from .history import History
-from .inspection import Shown
 from .instant import steady, takes_time
-from .intruder import blocked, without_intruder
-from .joining import join
+from .intruder import without_intruder
 from .keyframe import FEWEST_CANDIDATES, make_keyframe, wants_keyframe
+from .loss import Losing
 from .mapping import NOTHING, keyframe_cloud
-from .motion import PATIENCE, Motion, turn_rate
-from .recovery import find_in_places, find_in_window
+from .motion import Motion, turn_rate
 from .reference import Reference
-from .results import after, found_in, held, measured
+from .results import after, measured
 from .selection import select_points, view_margin
 from .tracking import KEYFRAME_GAP, Pair, Tracked, motion_information
 from .verification import LIMITS, Verdict, doubtful
@@ -40,7 +39,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-class IdRgbdo(Shown):
+class IdRgbdo(Losing):
     """Information-driven direct RGB-D odometry (an Odometry)."""
 
     name = "id-rgbdo"
@@ -87,8 +86,11 @@ class IdRgbdo(Shown):
         reference, motion, dt = self.reference, self.motion, self.motion.gap(frame.timestamp)
         if reason := verdict.doubt(LIMITS.sure if self.lost_in_a_row else LIMITS.lost):
             return self._found_again(frame) or self._lost(frame, reason)
+        if (settled := self._settled(frame, tracked, reference)) is not None:
+            return settled
         entropies = self.backend.freedom_entropies(tracked.information)
-        reason = doubtful(verdict, reference.keyframe.intruded, entropies) or after(self.lost_in_a_row) or motion.doubt
+        reason = doubtful(verdict, reference.keyframe.intruded, entropies) or after(self.lost_in_a_row)
+        reason = reason or motion.doubt or self.history.doubt_reason
         reference.entropies.append(entropies)
         reference.affine = tracked.affine
         motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame, 0.0 if self.lost_in_a_row else dt)
@@ -97,7 +99,7 @@ class IdRgbdo(Shown):
         self.history.add_frame(frame.timestamp, tracked.T_frame_kf)
         time, segment = self.history.keyframe_times[-1], self.history.segment
         result = measured(motion.T_cam_world, tracked, time, reason, segment, entropies)
-        if wants_keyframe(reference.entropies, self.config.keyframe) and self._new_keyframe(frame):
+        if self._new_keyframe(frame, tracked, verdict, reference):
             result = replace(result, keyframe=True, T_world_cam=torch.from_numpy(inverse(motion.T_cam_world)))
             return self._joined(frame, result) if self.history.segment > 0 else result
         return result
@@ -116,6 +118,8 @@ class IdRgbdo(Shown):
         """The same; or anew, against the segment's first keyframe without a thing that turns out to move with us."""
         carried = self.motion.carried
         if carried is None or (keyframe := carried.seen_in(frame, verdict, self.noise, self.backend)) is None:
+            if self.history.doubted is not None:
+                return tracked, verdict
             return held_against(frame, self.window.members, self.noise, self.backend, tracked, verdict)
         self._leave_window()
         self.history.forget(carried.number)
@@ -157,7 +161,9 @@ class IdRgbdo(Shown):
         """
         last, turn = self.motion.frame, self.motion.turn
         known = last is None or last.timestamp == self.history.keyframe_times[-1]
-        if last is None or known or (keyframe := self._keyframe(last, self.motion.T_cam_world)) is None:
+        if last is None or known or self.history.doubted is not None:
+            return False
+        if self._blurred(last) or (keyframe := self._keyframe(last, self.motion.T_cam_world)) is None:
             return False
         prior = motion_information(self.config, KEYFRAME_GAP)
         index = self._select(keyframe, np.eye(4), self.config.selection.points, prior, self.noise)
@@ -170,6 +176,15 @@ class IdRgbdo(Shown):
             self._adopt(keyframe, self.history.T_cam_kf[-1])
         return helps
 
+    def _blurred(self, last: Frame) -> bool:
+        """Whether the last frame was blurred."""
+        reference = self.reference
+        return (
+            reference is not None
+            and sharpness(self._pair(last, reference), self.motion.T_cam_world @ inverse(reference.T_kf_world))
+            < BLURRED
+        )
+
     def _choose(self, reference: Reference, pair: Pair, T_frame_kf: Array, prior: Array) -> None:
         """The points to track: chosen anew when the view has moved by the margin that kept them inside the image."""
         margin = view_margin(self.config.selection.margin, reference.keyframe.frame.camera)
@@ -181,11 +196,30 @@ class IdRgbdo(Shown):
     def _select(self, keyframe: Keyframe, T_frame_kf: Array, m: int, prior: Array, noise: Noise) -> Index:
         return select_points(keyframe, T_frame_kf, m, prior, self.config.selection, noise, self.rng, self.backend)
 
-    def _new_keyframe(self, frame: Frame) -> bool:
-        """Make a keyframe of the frame just tracked and refine the window; False where it has too few candidates."""
-        if (keyframe := self._keyframe(frame, self.motion.T_cam_world)) is not None:
-            self._adopt(keyframe, self.history.T_cam_kf[-1])
-        return keyframe is not None
+    def _new_keyframe(self, frame: Frame, tracked: Tracked, verdict: Verdict, reference: Reference) -> bool:
+        """Make a keyframe of the frame just tracked, if it is time, and refine the window; False where it is not, or
+        it has too few candidates.
+        """
+        blurred = reference.keyframe.sharp < BLURRED
+        wanted = wants_keyframe(reference.entropies, self.config.keyframe) or self.history.settles
+        if not (blurred or wanted):
+            return False
+        before = self.window.members.keyframes[-1].frame if self.window.members else frame
+        sharp = sharpness_since(self._pair(frame, reference), tracked.T_frame_kf, before)
+        if sharp < BLURRED and not wanted:
+            return False
+        if sharp < BLURRED and verdict.visible > KEPT_IN_VIEW and not self.history.settles:
+            return False
+        if (keyframe := self._keyframe(frame, self.motion.T_cam_world)) is None:
+            return False
+        if self.history.settles:
+            self._leave_window()
+        elif sharp < BLURRED and self.config.window.enabled:
+            keyframe = replace(keyframe, sharp=sharp)
+            if self.history.doubted is None:
+                self.history.doubt(self.window.members.keyframes[-1])
+        self._adopt(keyframe, self.history.T_cam_kf[-1])
+        return True
 
     def _keyframe(self, frame: Frame, T_frame_world: Array | None = None) -> Keyframe | None:
         """A keyframe of a frame at a pose, None where it has too few candidates."""
@@ -199,7 +233,7 @@ class IdRgbdo(Shown):
 
         T_kf_previous: its pose as tracked against the keyframe before, None where it was not.
         """
-        windowed = self.config.window.enabled
+        windowed = self.config.window.enabled and self.history.doubted is None
         cloud = NOTHING if windowed else keyframe_cloud(keyframe)
         self.history.add_keyframe(keyframe.frame.timestamp, self.motion.T_cam_world, T_kf_previous, cloud)
         prior = motion_information(self.config, KEYFRAME_GAP)
@@ -210,7 +244,8 @@ class IdRgbdo(Shown):
             keyframe = self._refine(keyframe, chosen[:many])  # an uncertain pose has more points, the window has not
         self.history.condense()
         self.reference = Reference(keyframe, self.motion.T_cam_world, self.motion.turn, index)
-        self.history.remember(keyframe, self.backend)
+        if keyframe.sharp >= BLURRED:
+            self.history.remember(keyframe, self.backend)
         return self.reference
 
     def _refine(self, keyframe: Keyframe, index: Index) -> Keyframe:
@@ -224,77 +259,3 @@ class IdRgbdo(Shown):
             self.history.leave(place, old, departure)
         self.motion.correct(self.window.members.T[-1])
         return self.window.members.keyframes[-1]
-
-    def _start_segment(self, frame: Frame, reason: str) -> TrackResult:
-        """Begin at the last pose: the first frame, or one after too many lost ones; lost where it lacks points."""
-        if (keyframe := self._keyframe(frame)) is None:
-            return self._hold(frame, reason)
-        first = self.reference is None
-        self._leave_window()
-        self.motion.lose()
-        self.motion.T_cam_world = self.motion.shown
-        self.history.segment = 0 if first else self.history.new_segment()
-        self._adopt(keyframe)
-        self.motion.watch(keyframe, len(self.history.keyframe_poses) - 1)
-        self.motion.time, self.lost_in_a_row = frame.timestamp, 0
-        reason = "" if first else "a new segment starts here, at the last known pose"
-        return replace(self._held(frame, Status.OK if first else Status.LOST, reason), keyframe=True)
-
-    def _leave_window(self) -> None:
-        """What comes next is not tied to the keyframes so far."""
-        self.history.leave_all(self.window.members.keyframes)
-        self.window = Window(self.config, self.noise, self.backend)
-        self.motion.forget_place()
-        self.reference = None
-
-    def _found_again(self, frame: Frame) -> TrackResult | None:
-        """A lost frame in another keyframe than the newest, as a keyframe of its own; None where it is in none."""
-        window = self.window_keyframes()
-        _, (newest, _) = window.popitem()  # which has been tried
-        pair, history = Pair(frame, newest, self.noise, self.backend), self.history
-        found = find_in_window(pair, self.motion.predicted(self.motion.gap(frame.timestamp)), window)
-        found = found or find_in_places(pair, history.places.likely(pair.frame, self.lost_in_a_row))
-        if found is None:
-            return None
-        self.motion.judge(found.verdict, False)
-        T_cam_world = found.tracked.T_frame_kf @ history.keyframe_poses[found.number]
-        if (keyframe := self._keyframe(frame, T_cam_world)) is None:
-            return None
-        if found.number not in window:
-            self._leave_window()
-        self.motion.move(T_cam_world, frame, 0.0)
-        self.motion.lose()
-        self.reference, self.lost_in_a_row, self.last = None, 0, None
-        history.segment = history.segments[found.number]
-        self._adopt(keyframe)
-        history.add_frame(frame.timestamp, np.eye(4))
-        return found_in(self.motion.T_cam_world, found.tracked, history.keyframe_times[found.number], history.segment)
-
-    def _joined(self, frame: Frame, result: TrackResult) -> TrackResult:
-        """Look for a new keyframe in the places of earlier segments; where it is found, the present one joins them."""
-        history, reference = self.history, self.reference
-        earlier = [p for p in history.places.likely(frame, 0) if history.segments[p.number] < history.segment]
-        if reference is None or (found := find_in_places(self._pair(frame, reference), earlier)) is None:
-            return result
-        return join(found, history, self.window, self.motion, reference, result)
-
-    def _lost(self, frame: Frame, reason: str) -> TrackResult:
-        """Stay where we were and say so; after too many such frames begin anew, with this one."""
-        if self.lost_in_a_row < PATIENCE:
-            return self._hold(frame, reason)
-        if self.motion.waits(frame.timestamp) and blocked(frame, self.window_keyframes(), self.motion.T_cam_world):
-            return self._hold(frame, "something blocks the view")
-        return self._start_segment(frame, reason)
-
-    def _hold(self, frame: Frame, reason: str) -> TrackResult:
-        """Stay where we were and say so."""
-        self.lost_in_a_row += 1
-        self.motion.lose()
-        return self._held(frame, Status.LOST, reason)
-
-    def _held(self, frame: Frame, status: Status, reason: str) -> TrackResult:
-        """A frame stays at the last pose, and joins the history there."""
-        T_kf_world = self.motion.T_cam_world if self.reference is None else self.reference.T_kf_world
-        self.history.add_frame(frame.timestamp, self.motion.T_cam_world @ inverse(T_kf_world))
-        self.last = None
-        return held(self.motion.shown, status, reason, self.history.segment)

@@ -49,18 +49,29 @@ def find_in_window(pair: Pair, T_cam_world: Array, window: dict[int, tuple[Keyfr
     """The frame against the other keyframes of the window, the nearest views first: from where it was expected, then
     from where the features say.
     """
+    if found := find_near(pair, T_cam_world, window):
+        return found
+    for number in neighbours(T_cam_world, window):
+        keyframe, _ = window[number]
+        start = start_from_features(pair.frame, keyframe.frame, HALF)
+        if start and (found := from_perspective(number, replace(pair, keyframe=keyframe), start)):
+            return found
+    return None
+
+
+def neighbours(T_cam_world: Array, window: dict[int, tuple[Keyframe, Array]]) -> list[int]:
+    """Numbers of the keyframes of a window that are tried for a frame, the nearest views first."""
     numbers = list(window)
-    nearest = [numbers[k] for k in nearest_first(T_cam_world, [window[n][1] for n in numbers])[:NEIGHBOURS]]
-    for number in nearest:
+    return [numbers[k] for k in nearest_first(T_cam_world, [window[n][1] for n in numbers])[:NEIGHBOURS]]
+
+
+def find_near(pair: Pair, T_cam_world: Array, window: dict[int, tuple[Keyframe, Array]]) -> Found | None:
+    """The frame against keyframes of a window from where it was expected."""
+    for number in neighbours(T_cam_world, window):
         keyframe, T_kf_world = window[number]
         other = replace(pair, keyframe=keyframe)
         found = sure(number, other, *aligned(other, T_cam_world @ inverse(T_kf_world), LEVELS))
         if found:
-            return found
-    for number in nearest:
-        keyframe, _ = window[number]
-        start = start_from_features(pair.frame, keyframe.frame)
-        if start and (found := from_perspective(number, replace(pair, keyframe=keyframe), start)):
             return found
     return None
 

@@ -19,6 +19,7 @@ Index = NDArray[np.int64]
 KEYFRAME_GAP = 1.0 / 30.0  # s, gap of the motion prior that a new keyframe's points are chosen with
 STEPS = np.array([8, 10, 12, 12, 12, 12])  # most iterations per level, finest first
 KEYFRAME_GAP = 1.0 / 30.0  # s, gap of the motion prior that a new keyframe's points are chosen with
+CLOSE = 3  # levels that it takes from a pose nearby
 AFFINE_PRIOR = np.diag([1.0 / 0.1**2, 1.0 / 10.0**2])  # of gain and gray levels, about the previous frame's
 
 
@@ -68,6 +69,15 @@ def track_frame(pair: Pair, start: State, index: Index, coarse: Subset, informat
     return Tracked(
         found.T, found.affine, pose_information(found.H), int(found.kept), int(found.iterations), index, found.rms
     )
+
+
+def track_closely(pair: Pair, tracked: Tracked, information: Array) -> Tracked:
+    """Align a frame once more from where it was found, with all spread-out points on the finest levels.
+
+    information: (6, 6) by which that pose holds.
+    """
+    coarse, start = pair.keyframe.coarse, State(tracked.T_frame_kf, tracked.affine)
+    return track_frame(pair, start, coarse, Subset(coarse, pair.keyframe.points.patch.shape[2]), information, CLOSE)
 
 
 def pose_information(H: Array) -> Array:

@@ -89,14 +89,12 @@ def doubtful(verdict: Verdict, intruded: bool, entropies: Array) -> str:
     return verdict.doubt(LIMITS.weak) or obstructed(verdict, intruded) or unsure(entropies)
 
 
-def verify(pair: Pair, tracked: Tracked) -> Verdict:
-    """Hold a pose against all the spread-out points of the keyframe."""
+def verify(pair: Pair, tracked: Tracked, level: int = LIMITS.level) -> Verdict:
+    """Hold a pose against all the spread-out points of the keyframe, their brightness on a level of the pyramid."""
     if not (np.isfinite(tracked.T_frame_kf).all() and tracked.points >= LIMITS.points):
         return Verdict(0.0, 0.0, 0.0)
     witnesses, state = pair.keyframe.witnesses, State(tracked.T_frame_kf, tracked.affine)
-    found = pair.backend.verify(
-        pair.frame.view, LIMITS.level, pair.keyframe.points, witnesses, state, pair.noise, LIMITS.gray
-    )
+    found = pair.backend.verify(pair.frame.view, level, pair.keyframe.points, witnesses, state, pair.noise, LIMITS.gray)
     if abs(tracked.affine[0]) > LIMITS.gain:
         found = found._replace(bright=0, hidden_bright=0)
     verdict = judged(found, len(witnesses))

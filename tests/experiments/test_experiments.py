@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 from dask_cluster import dask_cluster
 
 from idrgbdo_torch.commands.cli import main
@@ -25,6 +26,7 @@ from idrgbdo_torch.experiments.rendering import RenderTask, Take, plan_rendering
 from idrgbdo_torch.experiments.setup import clips_of, paper_config, planned_films, recorded_clips, rendered_clips
 from idrgbdo_torch.experiments.sweep import Workers, read_results
 from idrgbdo_torch.experiments.task import Measured, Task, measure
+from idrgbdo_torch.odometry import Status, TrackResult
 
 TWO = Workers(jobs=2)
 PAIR = "fr2_xyz,fr3_structure_texture_near"
@@ -355,3 +357,15 @@ def test_events_end_where_the_view_is_known(lab: Lab) -> None:
     assert [row[4] for row in events.rows] == [0, 0]  # wrong recoveries
     shown, returns = events_of.play(36)
     assert len(returns) == 10 and {s.event for s in shown} == {"", *events_of.FRAMES} - {"jump"}
+
+
+def test_a_segment_that_begins_anew_is_measured_from_its_begin() -> None:
+    def pose(x: float) -> torch.Tensor:
+        T = torch.eye(4, dtype=torch.float64)
+        T[0, 3] = x
+        return T
+
+    said = [(0.0, 0), (0.1, 0), (5.0, 1), (5.1, 1), (0.4, 0), (5.35, 1)]  # m, segment
+    results = [TrackResult(T_world_cam=pose(x), status=Status.OK, segment=segment) for x, segment in said]
+    errors = events_of.within_segments(results, [pose(0.1 * n).numpy() for n in range(len(said))])
+    assert [round(metres, 6) for metres, _ in errors] == [0.0, 0.0, 0.0, 0.0, 0.0, 0.05]

@@ -1,0 +1,155 @@
+"""What becomes of a frame that is lost: found again, held at the last pose, or the begin of a new segment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config import Config
+from ..frame import Frame, Keyframe
+from ..kernels.se3 import inverse
+from ..odometry import Status, TrackResult
+from .doubt import BLURRED, EVERY, sharpness_since
+from .inspection import Shown
+from .intruder import blocked
+from .joining import join
+from .motion import PATIENCE, Motion
+from .recovery import Found, find_in_places, find_in_window, find_near
+from .reference import Reference
+from .results import found_in, held
+from .tracking import Pair, Tracked
+from .window import Window
+
+Array = NDArray[np.float64]
+
+
+class Losing(Shown):
+    """An odometry's answers to a loss. It makes and adopts keyframes, see IdRgbdo."""
+
+    config: Config
+    motion: Motion
+    lost_in_a_row: int
+
+    def _pair(self, frame: Frame, reference: Reference) -> Pair:
+        """A frame against the newest keyframe."""
+        raise NotImplementedError
+
+    def _keyframe(self, frame: Frame, T_frame_world: Array | None = None) -> Keyframe | None:
+        """A keyframe of a frame at a pose, None where it has too few candidates."""
+        raise NotImplementedError
+
+    def _adopt(self, keyframe: Keyframe, T_kf_previous: Array | None = None) -> Reference:
+        """Track against a keyframe from now on."""
+        raise NotImplementedError
+
+    def _start_segment(self, frame: Frame, reason: str) -> TrackResult:
+        """Begin at the last pose: the first frame, or one after too many lost ones; lost where it lacks points."""
+        if (keyframe := self._keyframe(frame)) is None:
+            return self._hold(frame, reason)
+        first = self.reference is None
+        self._leave_window()
+        self.motion.lose()
+        self.motion.T_cam_world = self.motion.shown
+        self.history.segment = 0 if first else self.history.new_segment()
+        self._adopt(keyframe)
+        self.motion.watch(keyframe, len(self.history.keyframe_poses) - 1)
+        self.motion.time, self.lost_in_a_row = frame.timestamp, 0
+        reason = "" if first else "a new segment starts here, at the last known pose"
+        return replace(self._held(frame, Status.OK if first else Status.LOST, reason), keyframe=True)
+
+    def _leave_window(self) -> None:
+        """What comes next is not tied to the keyframes so far."""
+        self.history.doubted = None
+        self.history.leave_all(self.window.members.keyframes)
+        self.window = Window(self.config, self.noise, self.backend)
+        self.motion.forget_place()
+        self.reference = None
+
+    def _found_again(self, frame: Frame) -> TrackResult | None:
+        """A lost frame in another keyframe than the newest, as a keyframe of its own; None where it is in none."""
+        window, history = self.window_keyframes(), self.history
+        number, (newest, _) = window.popitem()
+        pair = Pair(frame, newest, self.noise, self.backend)
+        if history.doubted is not None:  # else it has been tried
+            window[number] = newest, history.keyframe_poses[number]
+        found = find_in_window(pair, self.motion.predicted(self.motion.gap(frame.timestamp)), window)
+        found = found or find_in_places(pair, history.places.likely(pair.frame, self.lost_in_a_row))
+        return None if found is None else self._adopt_found(frame, found)
+
+    def _adopt_found(self, frame: Frame, found: Found, T_cam_doubted: Array | None = None) -> TrackResult | None:
+        """Go on from where a frame was found, with a keyframe of it; None where it can't be one.
+
+        T_cam_doubted: where it was said to be by keyframes in doubt, which are corrected by what that was off.
+        """
+        history = self.history
+        self.motion.judge(found.verdict, False)
+        T_cam_world = found.tracked.T_frame_kf @ history.keyframe_poses[found.number]
+        if (keyframe := self._keyframe(frame, T_cam_world)) is None:
+            return None
+        if history.known(found.number):
+            history.settle(frame.timestamp, T_cam_doubted, T_cam_world)
+            if found.number not in history.in_window:
+                self._leave_window()
+        self.motion.move(T_cam_world, frame, 0.0)
+        self.motion.lose()
+        self.reference, self.lost_in_a_row, self.last = None, 0, None
+        history.segment = history.segments[found.number]
+        self._adopt(keyframe)
+        history.add_frame(frame.timestamp, np.eye(4))
+        return found_in(self.motion.T_cam_world, found.tracked, history.keyframe_times[found.number], history.segment)
+
+    def _settled(self, frame: Frame, tracked: Tracked, reference: Reference) -> TrackResult | None:
+        """A frame that was measured in doubt, found in a keyframe from before; None where it is in no doubt or unknown.
+
+        One that is blurred itself is not looked for: it would be as doubtful.
+        """
+        history = self.history
+        if history.doubted is None:
+            return None
+        T_cam_world = tracked.T_frame_kf @ reference.T_kf_world
+        pair = Pair(frame, reference.keyframe, self.noise, self.backend)
+        history.doubtful_frames += 1
+        before = self.window.members.keyframes[-1].frame
+        if sharpness_since(pair, tracked.T_frame_kf, before) < BLURRED:
+            return None
+        attempt, again = divmod(history.sharp_frames, EVERY)
+        history.sharp_frames += 1
+        if again:
+            found = find_near(pair, T_cam_world, self.window_keyframes())
+        elif (found := find_in_window(pair, T_cam_world, self.window_keyframes())) is None:
+            known = [place for place in history.places.likely(frame, attempt) if history.known(place.number)]
+            found = find_in_places(pair, known)
+        return None if found is None else self._adopt_found(frame, found, T_cam_world)
+
+    def _joined(self, frame: Frame, result: TrackResult) -> TrackResult:
+        """Look for a new keyframe in the places of earlier segments; where it is found, the present one joins them."""
+        history, reference = self.history, self.reference
+        if history.doubted is not None:
+            return result
+        earlier = [p for p in history.places.likely(frame, 0) if history.segments[p.number] < history.segment]
+        if reference is None or (found := find_in_places(self._pair(frame, reference), earlier)) is None:
+            return result
+        return join(found, history, self.window, self.motion, reference, result)
+
+    def _lost(self, frame: Frame, reason: str) -> TrackResult:
+        """Stay where we were and say so; after too many such frames begin anew, with this one."""
+        if self.lost_in_a_row < PATIENCE:
+            return self._hold(frame, reason)
+        if self.motion.waits(frame.timestamp) and blocked(frame, self.window_keyframes(), self.motion.T_cam_world):
+            return self._hold(frame, "something blocks the view")
+        return self._start_segment(frame, reason)
+
+    def _hold(self, frame: Frame, reason: str) -> TrackResult:
+        """Stay where we were and say so."""
+        self.lost_in_a_row += 1
+        self.motion.lose()
+        return self._held(frame, Status.LOST, reason)
+
+    def _held(self, frame: Frame, status: Status, reason: str) -> TrackResult:
+        """A frame stays at the last pose, and joins the history there."""
+        T_kf_world = self.motion.T_cam_world if self.reference is None else self.reference.T_kf_world
+        self.history.add_frame(frame.timestamp, self.motion.T_cam_world @ inverse(T_kf_world))
+        self.last = None
+        return held(self.motion.shown, status, reason, self.history.segment)
