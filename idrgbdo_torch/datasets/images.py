@@ -20,6 +20,7 @@ from ..text.plain import shown
 from .exr import read_exr
 from .image_size import declared_size
 from .jpeg import decode_jpeg
+from .packed import member_bytes
 from .png import SIGNATURE as PNG_SIGNATURE
 from .png import decode_png
 
@@ -30,6 +31,7 @@ IMAGE_SUFFIXES = frozenset(
 )
 MOST_PIXELS = 1 << 24  # of an image: 4096x4096, more than any depth camera has; memory is made for them
 MOST_BYTES = 32 * MOST_PIXELS  # of its file: four channels of 64 bits
+MOST_ARRAY = 8 * MOST_PIXELS + (64 << 10)  # of an array in an archive: 64 bits, and its head
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 JPEG_TAIL = 1024  # bytes in which the end marker must stand; some cameras pad
 
@@ -61,6 +63,14 @@ def decode_color(data: bytes, where: str) -> NDArray[np.uint8]:
 def decode_depth(data: bytes, where: str) -> NDArray[Any]:
     """An encoded depth image as in `read_depth`; `where` leads the messages."""
     return as_depth(_decode(data, where, cv2.IMREAD_UNCHANGED), where)
+
+
+def read_labels(path: Path) -> NDArray[Any] | None:
+    """(H, W) whole numbers of an image, such as confidences; None where it cannot be read."""
+    try:
+        return _decode(_bytes(path), str(path), cv2.IMREAD_UNCHANGED)
+    except IdRgbdoError:
+        return None
 
 
 def as_depth(image: NDArray[Any], where: str) -> NDArray[Any]:
@@ -108,10 +118,7 @@ def _read_array(path: Path) -> NDArray[Any]:
             members = [name.removesuffix(".npy") for name in archive.namelist()]
             names = [k for k, name in enumerate(members) if len(members) == 1 or "depth" in name.lower()]
             if len(names) == 1:
-                member = archive.infolist()[names[0]]
-                if member.file_size > MOST_BYTES:
-                    raise ValueError(f"an array of more than {MOST_BYTES >> 20} MB")
-                return _array(archive.read(member))
+                return _array(member_bytes(archive, archive.infolist()[names[0]], MOST_ARRAY))
             there = shown(", ".join(members), quoted=False) or "nothing"
     except (*DAMAGE, RuntimeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise IdRgbdoError(f"{path}: cannot read the depth ({shown(error, quoted=False)}); {again}") from error

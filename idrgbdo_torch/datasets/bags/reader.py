@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -50,11 +51,10 @@ class Reader:
         self._storages: list[Storage] = []
         self._lost: list[str] = []  # files that cannot be opened, and why
         self._channels: dict[Connection, list[tuple[Storage, list[int]]]] = {}
-        try:
+        with ExitStack() as stack:
+            stack.callback(self.close)
             self._open(path)
-        except BaseException:
-            self.close()
-            raise
+            stack.pop_all()
 
     def _open(self, path: Path) -> None:
         files = self._files(path)

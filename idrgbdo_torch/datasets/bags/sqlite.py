@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sqlite3
 from collections.abc import Collection, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from urllib.parse import quote
 
@@ -30,14 +31,13 @@ class SqliteStorage(Storage):
         self._path = path
         self._pages: Pages | None = None
         self._database: sqlite3.Connection | None = None
-        try:
+        with ExitStack() as stack:
+            stack.callback(self.close)
             try:
                 self._open()
             except sqlite3.Error as error:
                 self._salvage(str(error))
-        except BaseException:
-            self.close()
-            raise
+            stack.pop_all()
 
     def _open(self) -> None:
         """Ask SQLite for all rows but their data. Raises sqlite3.Error where that is damaged."""

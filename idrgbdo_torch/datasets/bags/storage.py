@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -81,11 +82,10 @@ class ChunkedStorage(Storage):
         self.chunks: list[Chunk] = []
         self._source = FileSource(path)
         self._kept: tuple[Chunk, bytes | bytearray, list[Message]] | None = None  # the chunk that was read last
-        try:
+        with ExitStack() as stack:
+            stack.callback(self.close)
             self._open()
-        except BaseException:
-            self.close()
-            raise
+            stack.pop_all()
         self._starts = np.array([min(chunk.start, LAST) for chunk in self.chunks], np.int64)
         self._ends = np.array([min(chunk.end, LAST) for chunk in self.chunks], np.int64)
 
