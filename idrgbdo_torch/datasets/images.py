@@ -21,8 +21,8 @@ from .exr import read_exr
 from .image_size import declared_size
 from .jpeg import decode_jpeg
 from .packed import member_bytes
+from .png import MOST_INFLATED, decode_png
 from .png import SIGNATURE as PNG_SIGNATURE
-from .png import decode_png
 
 # what OpenCV reads, numpy's arrays, and EXR
 IMAGE_SUFFIXES = frozenset(
@@ -32,6 +32,7 @@ IMAGE_SUFFIXES = frozenset(
 MOST_PIXELS = 1 << 24  # of an image: 4096x4096, more than any depth camera has; memory is made for them
 MOST_BYTES = 32 * MOST_PIXELS  # of its file: four channels of 64 bits
 MOST_ARRAY = 8 * MOST_PIXELS + (64 << 10)  # of an array in an archive: 64 bits, and its head
+TOO_MANY = 64 << 20  # bytes that the rows of a PNG may have besides those that it declares
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 JPEG_TAIL = 1024  # bytes in which the end marker must stand; some cameras pad
 
@@ -188,6 +189,7 @@ def _damage(data: bytes) -> str:
 def _png_damage(data: bytes) -> str:
     """Walk the chunks (length, type, data, checksum) up to IEND."""
     position = len(PNG_SIGNATURE)
+    rows: list[bytes] = []
     while position + 12 <= len(data):
         (length,) = struct.unpack_from(">I", data, position)
         end = position + 8 + length
@@ -195,7 +197,22 @@ def _png_damage(data: bytes) -> str:
             break
         if struct.unpack_from(">I", data, end)[0] != zlib.crc32(data[position + 4 : end]):
             return f"damaged PNG (wrong checksum near byte {position})"
-        if data[position + 4 : position + 8] == b"IEND":
-            return ""
+        kind = data[position + 4 : position + 8]
+        if kind == b"IEND":
+            return _too_many_rows(b"".join(rows), data)
+        rows += [data[position + 8 : end]] if kind == b"IDAT" else []
         position = end + 4
     return f"truncated PNG ({len(data)} bytes without an end chunk)"
+
+
+def _too_many_rows(packed: bytes, data: bytes) -> str:
+    """Whether the rows of a PNG unpack to far more than it declares, all of which OpenCV would unpack."""
+    width, height, bits, kind = struct.unpack_from(">IIBB", data, 16)
+    most = height * (1 + width * bits * (4 if kind == 6 else 3) // 8) + TOO_MANY
+    if len(packed) * MOST_INFLATED <= most:
+        return ""
+    try:
+        unpacked = zlib.decompressobj().decompress(packed, most)
+    except zlib.error:
+        return ""  # for OpenCV to tell
+    return "damaged PNG (its rows are far more than it says)" if len(unpacked) >= most else ""

@@ -50,6 +50,8 @@ def read(path: Path, options: Options) -> Recording:
     options = replace(options, camera=beside) if options.camera is None and beside.is_file() else options
     color, depth, ambiguous = bag.topics(options)
     of_color, of_depth = bag.stamps(color), bag.stamps(depth)
+    if bag.reader.revised():  # with what looking for depth has found
+        of_color = bag.stamps(color)
     frames = pair_by_time(of_color, of_depth, options.association_limit_s, path)
 
     def read_pair(index: int) -> RawPair:
@@ -84,14 +86,14 @@ class _Bag:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.reader = _open(path)
-        self._timeless = 0  # images that have not even a time
+        self._timeless: set[tuple[str, int]] = set()  # images that have not even a time, by that of recording
         weakref.finalize(self, self.reader.close)
 
     def warnings(self) -> tuple[str, ...]:
         """What is damaged, and what else is to be said of the files."""
         damaged = self.reader.damaged()
         first = f" ({shown(plain(damaged[0]), quoted=False)})" if damaged else ""
-        count = len(damaged) + self._timeless
+        count = len(damaged) + len(self._timeless)
         left_out = f"{count} damaged images, or places in the recording, are left out{first}"
         return (*self.reader.said(), *((left_out,) if count else ()))
 
@@ -133,7 +135,7 @@ class _Bag:
             try:
                 stamp = self._stamp(self._decode(data, connection))
             except IdRgbdoError:
-                self._timeless += 1
+                self._timeless.add((connection.topic, recorded))
                 continue
             time = clock.get(recorded) or (stamp if stamp > 0 else recorded / 1e9)
             found[time] = (stamp, recorded)

@@ -57,7 +57,7 @@ def peak() -> int:
 
 
 @contextmanager
-def limits(most_s: int) -> Iterator[None]:
+def limits(most_s: int, most_bytes: int = MOST_BYTES) -> Iterator[None]:
     """Raises TimeoutError in what hangs, MemoryError after what took too much."""
 
     def stop(number: int, frame: FrameType | None) -> None:
@@ -75,5 +75,5 @@ def limits(most_s: int) -> Iterator[None]:
     if time.monotonic() - begin > most_s:  # though what was attacked caught the TimeoutError, which is an OSError
         raise TimeoutError(f"took {time.monotonic() - begin:.0f} s")
     rise = peak() - least
-    if rise > MOST_BYTES:
+    if rise > most_bytes:
         raise MemoryError(f"the peak of memory rose by {rise >> 20} MB")

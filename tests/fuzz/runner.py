@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from . import checkpoints, doors, downloads, folders, frames, kills, readers, stress
+from . import checkpoints, doors, downloads, folders, frames, kills, readers, stress, structures
 from .promise import Attack, limits
 
 ATTACKS: Mapping[str, Attack] = {
@@ -27,6 +27,8 @@ ATTACKS: Mapping[str, Attack] = {
     "one text": Attack(readers.one_text, ready=readers.ready),
     "strange folder": Attack(readers.strange_folder, ready=readers.ready),
     "bags": Attack(readers.bags, ready=readers.ready),
+    "inner places": Attack(structures.inner, ready=readers.ready),
+    "bombs": Attack(structures.bomb, ready=readers.ready),
     "camera files": Attack(readers.camera_files),
     "settings": Attack(readers.settings),
     "poses": Attack(readers.poses),

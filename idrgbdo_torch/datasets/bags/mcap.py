@@ -7,20 +7,23 @@ from collections.abc import Iterator
 from pathlib import Path
 from struct import Struct
 
-from .storage import Chunk, ChunkedStorage, Message
+from .storage import READ, Chunk, ChunkedStorage, Message
 from .unpack import COMPRESSIONS
 from .walk import Record, Source
 
 MAGIC = b"\x89MCAP0\r\n"
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END = 1, 2, 3, 4, 5, 6, 7, 15
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
+STATISTICS, DATA_END = 11, 15
 END = 0  # the kind given to the magic bytes at the end of a file
 HEAD = Struct("<BQ")  # kind and length of a record
 MESSAGE_HEAD = Struct("<HIQQ")  # channel, number, times of recording and of sending
 CHUNK_HEAD = Struct("<QQQII")  # first and last time, unpacked size, checksum, letters of the compression's name
 INDEX_HEAD = Struct("<HI")  # channel, bytes of its entries
+COUNTS = Struct("<Q14xI")  # of messages and of chunks
 ENTRY = 16  # bytes of an entry: time and place
 MOST_TEXT = 16 << 20  # bytes of a schema
 LENGTHS = {FOOTER: (20, 20), DATA_END: (4, 4), HEADER: (8, 1 << 20), SCHEMA: (14, MOST_TEXT), CHANNEL: (16, MOST_TEXT)}
+LENGTHS[STATISTICS] = 46, MOST_TEXT
 IN_A_ROW = 3  # records behind each other that are looked at to believe that something is one
 
 
@@ -88,6 +91,11 @@ class McapStorage(ChunkedStorage):
             channel, _, time, _ = MESSAGE_HEAD.unpack(source.read(record.begin, MESSAGE_HEAD.size))
             position, size = record.begin - HEAD.size, record.end - record.begin + HEAD.size
             self.chunks.append(Chunk(position, size, "", size, 0, time, time, {channel}))
+        elif record.kind == CHUNK_INDEX:
+            self.said += 1
+        elif record.kind == STATISTICS and not self.said:
+            messages, chunks = COUNTS.unpack(source.read(record.begin, COUNTS.size))
+            self.said = chunks or messages  # these stand in no chunks
         elif record.kind == MESSAGE_INDEX and self._whole:
             channel, size = INDEX_HEAD.unpack(source.read(record.begin, INDEX_HEAD.size))
             last = self.chunks[-1]
@@ -108,12 +116,12 @@ class McapStorage(ChunkedStorage):
         try:
             number = int.from_bytes(data[:2], "little")
             if record.kind == SCHEMA:
-                self._types[number] = _text(data, 2)[0]
+                kind = _text(data, 2)[0]
+                self._types[number] = kind if kind in READ else self._types.get(number, kind)
             else:
                 topic, encoding_at = _text(data, 4)
                 if _text(data, encoding_at)[0] == "cdr":
-                    kind = self._types.get(int.from_bytes(data[2:4], "little"), "")
-                    self.topics[number] = topic, kind or self.topics.get(number, ("", ""))[1]
+                    self.name(number, topic, self._types.get(int.from_bytes(data[2:4], "little"), ""))
         except ValueError:
             self.note_damage(record.begin, "a topic that cannot be read")
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from ...errors import IdRgbdoError
 from ...text.files import is_named, read_text
 from ..bag_files import MOST_METADATA, damage
+from .guess import guessed_topics
 from .mcap import McapStorage
 from .ros1 import Ros1Storage
 from .sqlite import SqliteStorage
@@ -68,9 +69,14 @@ class Reader:
         if not self._storages:
             raise ValueError("; ".join(self._lost) or "there is no .mcap or .db3 file in it")
         for storage in self._storages:
+            if storage.topics and not any(name for name, _ in storage.topics.values()):
+                storage.topics = guessed_topics(storage, self.deserialize)
+                names = ", ".join(sorted({name for name, _ in storage.topics.values()}))
+                self.notes.append(f"the names of the topics are lost; by what is in them they are {names}")
             channels: dict[Connection, list[int]] = {}
-            for number, named in storage.topics.items():
-                channels.setdefault(Connection(*named), []).append(number)
+            named = {*((number, *about) for number, about in storage.topics.items()), *storage.other_names}
+            for number, *about in sorted(named):
+                channels.setdefault(Connection(*about), []).append(number)
             for connection, numbers in channels.items():
                 self._channels.setdefault(connection, []).append((storage, numbers))
 
@@ -103,7 +109,8 @@ class Reader:
     def _opened(self, file: Path) -> Storage:
         if file.suffix == PACKED and self._unpacked is not None:
             target = Path(self._unpacked.name) / file.stem
-            unpacked_file(file, target)
+            damaged = unpacked_file(file, target)
+            self._lost += [f"'{file.name}' can be unpacked in part: {damaged}"] if damaged else []
             file = target
         return STORAGES[file.suffix](file)
 
@@ -115,6 +122,10 @@ class Reader:
     def damaged(self) -> list[str]:
         """What could not be read until now, each a phrase."""
         return [*self._lost, *(reason for storage in self._storages for reason in storage.damaged.values())]
+
+    def revised(self) -> int:
+        """How often something was found that the index of its file does not know."""
+        return sum(storage.revised for storage in self._storages)
 
     def said(self) -> list[str]:
         """What else is to be said of the files."""

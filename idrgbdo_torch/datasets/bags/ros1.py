@@ -95,6 +95,8 @@ class Ros1Storage(ChunkedStorage):
             size = record.end - position
             channel, time, _, _ = _message(record)
             self.chunks.append(Chunk(position, size, "", size, 0, time, time, {channel}))
+        elif record.kind == CHUNK_INFO:
+            self.said += 1
         elif record.kind == INDEX and self._whole:
             self._add_index(source, record)
         elif record.kind == BAG_HEADER and fields.get(b"encryptor"):
@@ -131,8 +133,7 @@ class Ros1Storage(ChunkedStorage):
             topic = re.sub("/+", "/", name.decode("utf-8", "replace"))
             package, _, message = kind.decode("utf-8", "replace").rpartition("/")
             number = int.from_bytes(record.head[b"conn"], "little")
-            if kind or number not in self.topics:
-                self.topics[number] = topic, f"{package.removesuffix('/msg')}/msg/{message}"
+            self.name(number, topic, f"{package.removesuffix('/msg')}/msg/{message}" if kind else "")
 
     def message(self, source: Source, record: Record) -> Message | None:
         """See ChunkedStorage."""

@@ -73,14 +73,14 @@ class SqliteStorage(Storage):
         self._rows = np.array(rows, np.int64).reshape(-1, 3)  # number, topic, ns
 
     def _salvage(self, reason: str) -> None:
-        """Find the rows without SQLite. Raises ValueError where there are none."""
+        """Find the rows without SQLite; topics have empty names where none is left. Raises ValueError without rows."""
         if self._database is not None:
             self._database.close()
             self._database = None
         pages = self._found()
-        if not pages.topics:
-            raise ValueError(f"{reason}, and no topic is left in it")
-        self.topics = pages.topics
+        if not pages.rows:
+            raise ValueError(f"{reason}, and no message is left in it")
+        self.topics = pages.topics or {row.topic: ("", "") for row in pages.rows.values()}
         self._take([(number, row.topic, row.time) for number, row in pages.rows.items()])
         numbers = self._rows[:, 0]
         gone = int(np.ptp(numbers)) + 1 - len(numbers) if len(numbers) else 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator
@@ -18,6 +19,8 @@ from .unpack import MOST_UNPACKED, in_bytes, refuse_total, too_large, unpacked
 from .walk import FileSource, Layout, MemorySource, Record, Source, records
 
 LAST = (1 << 63) - 1  # ns: the latest time
+READ = {*(f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo")), "std_msgs/msg/String"}
+NAME = re.compile(r"/?[A-Za-z~{][\w~{}/]*")
 MOST_NOTED = 10_000  # places that are told apart
 
 
@@ -35,6 +38,8 @@ class Storage(ABC):
 
     def __init__(self) -> None:
         self.topics: dict[int, tuple[str, str]] = {}  # name and type of each channel's messages
+        self.other_names: set[tuple[int, str, str]] = set()  # channel, name, type: of two places that differ
+        self.revised = 0  # chunks that hold more than is said of them
         self.damaged: dict[int, str] = {}  # what cannot be read, by the byte at which it begins
         self.notes: list[str] = []  # what else is to be said
 
@@ -55,6 +60,11 @@ class Storage(ABC):
         """Remember what cannot be read."""
         if len(self.damaged) < MOST_NOTED:
             self.damaged.setdefault(position, shown(reason, quoted=False))
+
+
+def _read_as(topic: str, kind: str) -> bool:
+    """Whether that can be a topic with messages of a type that is read."""
+    return kind in READ and NAME.fullmatch(topic) is not None
 
 
 @dataclass(slots=True)
@@ -80,6 +90,7 @@ class ChunkedStorage(Storage):
     def __init__(self, path: Path) -> None:
         super().__init__()
         self.chunks: list[Chunk] = []
+        self.said = 0  # chunks that there are by the index
         self._source = FileSource(path)
         self._kept: tuple[Chunk, bytes | bytearray, list[Message]] | None = None  # the chunk that was read last
         with ExitStack() as stack:
@@ -93,11 +104,16 @@ class ChunkedStorage(Storage):
         for record in records(self._source, self.begin, self.layout, self.gap):
             self.take(self._source, record)
         refuse_total(sum(chunk.unpacked for chunk in self.chunks), self._source.size)
-        known = set(self.topics)
+        if self.said > len(self.chunks):
+            self.note_damage(self._source.size, f"{self.said - len(self.chunks)} pieces that its index names")
+        self._learn(self.chunks[:1])  # what stands there has a checksum, unlike what an index repeats
+        known = {channel for channel, (_, kind) in self.topics.items() if kind}
         if self.damaged or any(chunk.channels is None or not chunk.channels <= known for chunk in self.chunks):
-            self._learn()
+            self._learn(self.chunks)
+        if not self.topics:  # their names are for the reader to guess
+            self.topics = {channel: ("", "") for chunk in self.chunks for channel in chunk.channels or ()}
         if not self.topics:
-            raise ValueError("there are no topics in it")
+            raise ValueError("there are no messages in it")
 
     @abstractmethod
     def take(self, source: Source, record: Record) -> None:
@@ -115,9 +131,20 @@ class ChunkedStorage(Storage):
         """No record can be told in these bytes."""
         self.note_damage(begin, f"no records from byte {begin} to {end}")
 
-    def _learn(self) -> None:
-        """Look into all chunks for the topics, and for what their heads do not tell."""
-        for chunk in self.chunks:
+    def name(self, channel: int, topic: str, kind: str) -> None:
+        """Remember a topic; where two places differ, the one that can be read goes first, and the other one stays."""
+        claim, before = (topic, kind), self.topics.get(channel, ("", ""))
+        if before == claim:
+            return
+        if not _read_as(*before) or channel not in self.topics:
+            claim, before = before, claim
+            self.topics[channel] = before
+        if _read_as(*claim):
+            self.other_names.add((channel, *claim))
+
+    def _learn(self, chunks: list[Chunk]) -> None:
+        """Look into chunks for the topics, and for what their heads do not tell."""
+        for chunk in chunks:
             content = self._content(chunk)
             source = MemorySource(content)
             found = []
@@ -137,13 +164,14 @@ class ChunkedStorage(Storage):
             chunk = self.chunks[number]
             if chunk.channels is not None and chunk.channels.isdisjoint(channels):
                 continue
-            content, found = self._read(chunk)
+            content, found = self._read(number)
             for channel, time, begin, end in found:
                 if channel in channels and first <= time <= last:
                     yield time, bytes(memoryview(content)[begin:end])
 
-    def _read(self, chunk: Chunk) -> tuple[bytes | bytearray, list[Message]]:
+    def _read(self, number: int) -> tuple[bytes | bytearray, list[Message]]:
         """The content of a chunk and the messages in it; none where it is damaged."""
+        chunk = self.chunks[number]
         if self._kept is None or self._kept[0] is not chunk:
             self._kept = None  # before memory for another one is taken
             source = MemorySource(content := self._content(chunk))
@@ -153,14 +181,27 @@ class ChunkedStorage(Storage):
 
             found = (self.message(source, record) for record in records(source, 0, self.layout, gap))
             self._kept = chunk, content, [message for message in found if message]
+            self._revise(number, self._kept[2])
         return self._kept[1:]
 
+    def _revise(self, number: int, found: list[Message]) -> None:
+        """Compare what a chunk holds with what its head and its index said of it."""
+        chunk = self.chunks[number]
+        channels, times = {message.channel for message in found}, [message.time for message in found]
+        if not found or chunk.channels is None:
+            return
+        if not channels <= chunk.channels or min(times) < chunk.start or max(times) > chunk.end:
+            self.note_damage(chunk.position, "a chunk that holds other messages than its index says")
+            chunk.channels |= channels
+            chunk.start, chunk.end = min(chunk.start, *times), max(chunk.end, *times)
+            self._starts[number], self._ends[number] = min(chunk.start, LAST), min(chunk.end, LAST)
+            self.revised += 1
+
     def _content(self, chunk: Chunk) -> bytes | bytearray:
-        """Its bytes; none where they are damaged or too many."""
-        if max(chunk.size, chunk.unpacked) > MOST_UNPACKED:
-            self.note_damage(chunk.position, too_large(max(chunk.size, chunk.unpacked)))
-            return b""
+        """Its bytes; none where they are damaged or too many, and it counts as empty then."""
         try:
+            if max(chunk.size, chunk.unpacked) > MOST_UNPACKED:
+                raise ValueError(too_large(max(chunk.size, chunk.unpacked)))
             content = unpacked(self._source.read(chunk.position, chunk.size), chunk.compression, chunk.unpacked)
             if len(content) != chunk.unpacked:
                 raise ValueError(f"{in_bytes(len(content))} in a chunk that says to have {in_bytes(chunk.unpacked)}")
@@ -168,6 +209,7 @@ class ChunkedStorage(Storage):
                 raise ValueError("the checksum of a chunk is another one")
         except damage() as error:
             self.note_damage(chunk.position, str(error) or type(error).__name__)
+            chunk.channels = set()
             return b""
         return content
 

@@ -7,8 +7,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from ..bag_files import damage
+
 MOST_UNPACKED = 256 << 20  # bytes of a chunk or a message; the largest image of a camera is 50 MB, usual chunks 1 to 4
 STEP = 1 << 20  # bytes that are unpacked at a time
+SMALL_STEP = 16 << 10  # packed bytes, of which all are lost where one is damaged
 MOST_RATIO, SLACK = 100, 256 << 20  # times the stored bytes, plus bytes, that a whole recording may unpack to
 ZSTD_START = b"\x28\xb5\x2f\xfd"
 COMPRESSIONS = ("", "none", "lz4", "zstd", "bz2")
@@ -25,34 +28,45 @@ def unpacked(data: bytes, compression: str, most: int = MOST_UNPACKED) -> bytes 
             raise ValueError(too_large(len(data), most))
         return data
     content = bytearray()
-    while data:  # several frames can stand behind each other
-        decompressor = _decompressor(compression)
-        while not decompressor.eof:
-            part = decompressor.decompress(data, max_length=STEP)
-            data = b""
-            content += part
-            if len(content) > most:
-                raise ValueError(f"it unpacks to more than {in_bytes(most)}, which it may have at most")
-            if not part and decompressor.needs_input and not decompressor.eof:
-                raise ValueError("its packed bytes end too early")
-        data = decompressor.unused_data or b""
-    return content
+    decompressor = _decompressor(compression)
+    for begin in range(0, len(data), STEP):
+        _feed(decompressor, data[begin : begin + STEP], content, most)
+        if decompressor.eof:
+            return content
+    raise ValueError("its packed bytes end too early")
 
 
-def unpacked_file(packed: Path, target: Path) -> None:
-    """Unpack a file of zstd. Raises ValueError where it grows many times, and OSError for a full disk."""
+def _feed(decompressor: Any, packed: bytes, content: bytearray, most: int) -> None:
+    """Unpack all of `packed` into `content`."""
+    while packed or not (decompressor.eof or decompressor.needs_input):
+        part = decompressor.decompress(packed, max_length=STEP)
+        if not part and not packed:
+            return
+        packed = b""
+        content += part
+        if len(content) > most:
+            raise ValueError(f"it unpacks to more than {in_bytes(most)}, which it may have at most")
+
+
+def unpacked_file(packed: Path, target: Path) -> str:
+    """Unpack a file of zstd as far as it is whole, and say what is wrong with the rest; empty where nothing is.
+
+    Raises ValueError where it grows many times, and OSError for a full disk.
+    """
     most = MOST_RATIO * packed.stat().st_size + SLACK
-    written = 0
+    decompressor = _decompressor("zstd")
     with packed.open("rb") as source, target.open("xb") as file:
-        decompressor = _decompressor("zstd")
-        while True:
-            data = source.read(STEP) if decompressor.needs_input else b""
-            if decompressor.eof or (decompressor.needs_input and not data):
-                return  # what is missing at the end is for the reader of the file to tell
-            part = decompressor.decompress(data, max_length=STEP)
-            written += file.write(part)
-            if written > most:
+        while not decompressor.eof:
+            data = source.read(SMALL_STEP) if decompressor.needs_input else b""
+            if decompressor.needs_input and not data:
+                return "its packed bytes end too early"
+            try:
+                part = decompressor.decompress(data, max_length=STEP)
+            except damage() as error:
+                return str(error)
+            if file.write(part) and file.tell() > most:
                 raise ValueError(f"'{packed.name}' unpacks to more than {in_bytes(most)}, which no recording does")
+    return ""
 
 
 def refuse_total(total: int, stored: int) -> None:
