@@ -35,8 +35,11 @@ Stamp = tuple[float, int]  # s of the header, ns at which it was recorded
 
 
 def recognise(path: Path) -> bool:
-    """Whether the file's or folder's name says so."""
-    return path.suffix in (".bag", ".mcap", ".db3") or is_named(path / "metadata.yaml")
+    """Whether the file's or folder's name says so; recordings that were interrupted have no metadata.yaml."""
+    if path.suffix in (".bag", ".mcap", ".db3") or is_named(path / "metadata.yaml"):
+        return True
+    own = re.compile(re.escape(path.name) + r"(_\d+)?\.(mcap|db3)")
+    return path.is_dir() and any(own.fullmatch(file.name) for file in path.iterdir())
 
 
 def read(path: Path, options: Options) -> Recording:

@@ -120,13 +120,13 @@ def tiff_bomb(side: int = 16384) -> bytes:
 CHUNKS: dict[str, Callable[[], bytes]] = {"zstd": zstd_bomb, "lz4": lz4_bomb}
 
 
-def mcap_with(compression: str, declared: int, whole: bytes) -> bytes:
-    """A file of mcap whose third chunk is a bomb that says to have `declared` bytes."""
+def mcap_with(compression: str, declared: int, whole: bytes, replace: bool = True) -> bytes:
+    """A file of mcap whose third chunk is a bomb that says to have `declared` bytes, or that has one before it."""
     chunks = [(begin, end) for kind, begin, end in mcap_writer.places(whole) if kind == mcap_writer.CHUNK]
     begin, end = chunks[2]
     start, stop = struct.unpack_from("<QQ", whole, begin + 9)
     bomb = mcap_writer.chunk(start, stop, declared, 0, compression, CHUNKS[compression]())
-    return whole[:begin] + bomb + whole[end:]
+    return whole[:begin] + bomb + whole[end if replace else begin :]
 
 
 def bag_with(compression: str, declared: int, whole: bytes) -> bytes:

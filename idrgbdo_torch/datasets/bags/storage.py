@@ -103,7 +103,7 @@ class ChunkedStorage(Storage):
     def _open(self) -> None:
         for record in records(self._source, self.begin, self.layout, self.gap):
             self.take(self._source, record)
-        refuse_total(sum(chunk.unpacked for chunk in self.chunks), self._source.size)
+        refuse_total(sum(chunk.unpacked for chunk in self.chunks if chunk.unpacked <= MOST_UNPACKED), self._source.size)
         if self.said > len(self.chunks):
             self.note_damage(self._source.size, f"{self.said - len(self.chunks)} pieces that its index names")
         self._learn(self.chunks[:1])  # what stands there has a checksum, unlike what an index repeats
