@@ -28,7 +28,7 @@ ATTACKS: Mapping[str, Attack] = {
     "strange folder": Attack(readers.strange_folder, ready=readers.ready),
     "bags": Attack(readers.bags, ready=readers.ready),
     "inner places": Attack(structures.inner, ready=readers.ready),
-    "bombs": Attack(structures.bomb, ready=readers.ready),
+    "bombs": Attack(structures.bomb, every=10, ready=readers.ready),
     "camera files": Attack(readers.camera_files),
     "settings": Attack(readers.settings),
     "poses": Attack(readers.poses),
