@@ -58,8 +58,9 @@ def messages(film: Film) -> list[Said]:
 def write_mcap(said: Sequence[Said], compression: str = "", per_chunk: int = 3, summary: bool = True) -> bytes:
     """The bytes of a file; per_chunk: messages in a chunk, 0 for messages in the file itself."""
     kinds = (IMAGE, IMAGE, INFO)
+    store = Messages(2).store
     about = b"".join(
-        record(SCHEMA, struct.pack("<H", 1 + k) + text(kind) + text("ros2msg") + text(""))
+        record(SCHEMA, struct.pack("<H", 1 + k) + text(kind) + text("ros2msg") + text(store.generate_msgdef(kind)[0]))
         for k, kind in enumerate(kinds)
     ) + b"".join(
         record(CHANNEL, struct.pack("<HH", 1 + k, 1 + k) + text(topic) + text("cdr") + struct.pack("<I", 0))
@@ -80,10 +81,11 @@ def write_mcap(said: Sequence[Said], compression: str = "", per_chunk: int = 3, 
         indexes += record(
             CHUNK_INDEX,
             struct.pack("<QQQQ", min(times), max(times), begin, len(out) - begin)
-            + struct.pack("<I", 0)
+            + struct.pack("<I", 10 * len(part))
+            + b"".join(struct.pack("<HQ", message.channel, len(out) + 31 * k) for k, message in enumerate(part))
             + struct.pack("<Q", len(index))
             + text(compression)
-            + struct.pack("<QQ", len(out) - begin, len(content)),
+            + struct.pack("<QQ", len(PACK[compression](content)), len(content)),
         )
         out += index
     out += record(DATA_END, bytes(4))
