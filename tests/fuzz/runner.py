@@ -6,6 +6,7 @@ import argparse
 import traceback
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -63,12 +64,13 @@ def run(seeds: Iterable[int], attacks: Mapping[str, Attack] = ATTACKS) -> int:
     """Run the attacks of all seeds, print what broke with the seed that repeats it, and how many were made."""
     made: Counter[str] = Counter()
     broken: Counter[str] = Counter()
-    for seed in seeds:
-        name, trouble = attack(seed, attacks)
-        made[name] += bool(name)
-        if trouble:
-            broken[name] += 1
-            print(f"seed {seed}, {name}: python -m tests.fuzz --seeds {seed}:{seed + 1}\n{trouble}", flush=True)
+    with suppress(KeyboardInterrupt):  # what was made until then counts
+        for seed in seeds:
+            name, trouble = attack(seed, attacks)
+            made[name] += bool(name)
+            if trouble:
+                broken[name] += 1
+                print(f"seed {seed}, {name}: python -m tests.fuzz --seeds {seed}:{seed + 1}\n{trouble}", flush=True)
     for name in attacks:
         print(f"{name:<20}{made[name]:>7} made{broken[name]:>6} broken")
     return 1 if broken else 0

@@ -109,7 +109,7 @@ def bomb(rng: Generator, folder: Path) -> None:
             sequence = open_sequence(path)
             lost = sum(not isinstance(frame, RgbdFrame) for frame in sequence)
         except IdRgbdoError as error:
-            assert any(word in str(error) for word in ("more than", "unpack", "pixels")), f"{door}: {error}"
+            assert any(word in str(error) for word in REASONS), f"{door}: {error}"
             return
     assert lost or sequence.warnings or door in MAY_BE_IMAGES, f"{door}: nothing is said"
 
@@ -173,6 +173,7 @@ def phone(rng: Generator, folder: Path) -> Path:
     return bombs.archive_of(parts, path, chosen, lies=kind == 2)
 
 
+REASONS = ("more than", "unpack", "pixels", "cannot read")
 MAY_BE_IMAGES = ("an image", "compressed depth")  # whole ones, with more behind their last row
 DOORS: dict[str, Callable[[Generator, Path], Path]] = {
     "a chunk of mcap": mcap_chunk,
