@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import weakref
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from importlib import import_module
 from itertools import islice
@@ -39,7 +39,9 @@ def recognise(path: Path) -> bool:
     if path.suffix in (".bag", ".mcap", ".db3") or is_named(path / "metadata.yaml"):
         return True
     own = re.compile(re.escape(path.name) + r"(_\d+)?\.(mcap|db3)")
-    return path.is_dir() and any(own.fullmatch(file.name) for file in path.iterdir())
+    with suppress(OSError):  # of a folder that may not be listed
+        return path.is_dir() and any(own.fullmatch(file.name) for file in path.iterdir())
+    return False
 
 
 def read(path: Path, options: Options) -> Recording:

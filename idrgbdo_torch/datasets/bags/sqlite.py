@@ -70,7 +70,8 @@ class SqliteStorage(Storage):
         self._take(rows)
 
     def _take(self, rows: list[tuple[int, int, int]]) -> None:
-        self._rows = np.array(rows, np.int64).reshape(-1, 3)  # number, topic, ns
+        found = np.array(rows, np.int64).reshape(-1, 3)  # number, topic, ns
+        self._rows = found[np.argsort(found[:, 2], kind="stable")]
 
     def _salvage(self, reason: str) -> None:
         """Find the rows without SQLite; topics have empty names where none is left. Raises ValueError without rows."""
@@ -95,10 +96,9 @@ class SqliteStorage(Storage):
         self, channels: Collection[int], start: int | None = None, stop: int | None = None
     ) -> Iterator[tuple[int, bytes]]:
         """See Storage: in the order of their times."""
-        first, last = -LAST if start is None else start, LAST if stop is None else stop - 1
-        _, topics, times = self._rows.T
-        wanted = np.flatnonzero(np.isin(topics, list(channels)) & (times >= first) & (times <= last))
-        for place in wanted[np.argsort(times[wanted], kind="stable")].tolist():
+        first, last = -LAST if start is None else start, LAST - 1 if stop is None else stop - 1
+        begin, end = np.searchsorted(self._rows[:, 2], [first, last + 1])
+        for place in (begin + np.flatnonzero(np.isin(self._rows[begin:end, 1], list(channels)))).tolist():
             number, _, time = self._rows[place].tolist()
             data = self._data(number)
             if data is not None:

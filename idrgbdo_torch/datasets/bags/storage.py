@@ -16,7 +16,7 @@ import numpy as np
 from ...text.plain import shown
 from ..bag_files import damage
 from .unpack import MOST_UNPACKED, in_bytes, refuse_total, too_large, unpacked
-from .walk import FileSource, Layout, MemorySource, Record, Source, records
+from .walk import Effort, FileSource, Layout, MemorySource, Record, Source, records
 
 LAST = (1 << 63) - 1  # ns: the latest time
 READ = {*(f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo")), "std_msgs/msg/String"}
@@ -92,6 +92,8 @@ class ChunkedStorage(Storage):
         self.chunks: list[Chunk] = []
         self.said = 0  # chunks that there are by the index
         self._source = FileSource(path)
+        self._effort = Effort()  # for what is damaged in chunks
+        self._around: dict[int, list[Message]] = {}  # the messages of damaged chunks
         self._kept: tuple[Chunk, bytes | bytearray, list[Message]] | None = None  # the chunk that was read last
         with ExitStack() as stack:
             stack.callback(self.close)
@@ -101,7 +103,7 @@ class ChunkedStorage(Storage):
         self._ends = np.array([min(chunk.end, LAST) for chunk in self.chunks], np.int64)
 
     def _open(self) -> None:
-        for record in records(self._source, self.begin, self.layout, self.gap):
+        for record in records(self._source, self.begin, self.layout, self.gap, Effort()):
             self.take(self._source, record)
         refuse_total(sum(chunk.unpacked for chunk in self.chunks if chunk.unpacked <= MOST_UNPACKED), self._source.size)
         if self.said > len(self.chunks):
@@ -148,7 +150,7 @@ class ChunkedStorage(Storage):
             content = self._content(chunk)
             source = MemorySource(content)
             found = []
-            for record in records(source, 0, self.layout, lambda begin, end: None):
+            for record in records(source, 0, self.layout, lambda begin, end: None, self._effort):
                 self.learn(source, record)
                 message = self.message(source, record)
                 found += [message] if message else []
@@ -174,15 +176,25 @@ class ChunkedStorage(Storage):
         chunk = self.chunks[number]
         if self._kept is None or self._kept[0] is not chunk:
             self._kept = None  # before memory for another one is taken
-            source = MemorySource(content := self._content(chunk))
-
-            def gap(begin: int, end: int) -> None:
-                self.note_damage(chunk.position + begin, f"no messages in {end - begin} bytes of a chunk")
-
-            found = (self.message(source, record) for record in records(source, 0, self.layout, gap))
-            self._kept = chunk, content, [message for message in found if message]
-            self._revise(number, self._kept[2])
+            content = self._content(chunk)
+            found = self._around.get(number)
+            self._kept = chunk, content, self._messages(number, content) if found is None else found
         return self._kept[1:]
+
+    def _messages(self, number: int, content: bytes | bytearray) -> list[Message]:
+        """The messages in the content of a chunk, which are remembered where finding them took a search."""
+        source, position = MemorySource(content), self.chunks[number].position
+        found: list[Message] = []
+
+        def gap(begin: int, end: int) -> None:
+            self.note_damage(position + begin, f"no messages in {end - begin} bytes of a chunk")
+            self._around[number] = found
+
+        for record in records(source, 0, self.layout, gap, self._effort):
+            message = self.message(source, record)
+            found += [message] if message else []
+        self._revise(number, found)
+        return found
 
     def _revise(self, number: int, found: list[Message]) -> None:
         """Compare what a chunk holds with what its head and its index said of it."""

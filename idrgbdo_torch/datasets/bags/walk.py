@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 WINDOW = 1 << 20  # bytes that are searched at a time
 OVERLAP = 64  # bytes of a pattern at most
 MOST_SEARCHED = 512 << 20  # bytes without any record, in all, before the rest counts as none
-MOST_TRIES = 100_000  # places that look like a record and are none
+MOST_TRIES = 200_000  # places that look like a record and are none
 
 
 class Source(Protocol):
@@ -81,9 +81,11 @@ class Effort:
         self.tries = MOST_TRIES
 
 
-def records(source: Source, begin: int, layout: Layout, damaged: Callable[[int, int], object]) -> Iterator[Record]:
+def records(
+    source: Source, begin: int, layout: Layout, damaged: Callable[[int, int], object], effort: Effort
+) -> Iterator[Record]:
     """All records from `begin` on. damaged: told where nothing can be read, from byte to byte."""
-    position, effort = begin, Effort()
+    position = begin
     doubtful: int | None = None  # where the content of the last record begins, if its length may be wrong
     while position < source.size:
         record = layout.record(source, position)
@@ -98,14 +100,14 @@ def records(source: Source, begin: int, layout: Layout, damaged: Callable[[int, 
 
 def _search(source: Source, begin: int, layout: Layout, effort: Effort) -> int:
     """Where the next record begins; the end of the source where none does, or looking for one takes too much."""
-    while begin < source.size and effort.bytes > 0:
+    while begin < source.size and effort.bytes > 0 and effort.tries > 0:
         window = source.read(begin, WINDOW + OVERLAP)
         effort.bytes -= WINDOW
         for match in layout.pattern.finditer(window):
+            effort.tries -= 1
+            if effort.tries < 0:
+                return source.size
             for place in layout.beginnings(source, begin + match.start()):
-                effort.tries -= 1
-                if effort.tries < 0:
-                    return source.size
                 if place >= begin:
                     return place
         begin += WINDOW
