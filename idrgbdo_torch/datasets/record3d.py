@@ -37,6 +37,7 @@ RAW = (".depth", ".raw", ".bin")
 DEPTHS = (*RAW, ".exr", ".npy", ".npz", ".png", ".tif", ".tiff")
 CONFIDENCES = (".conf", ".png", ".npy")
 MOST_FILE = 64 << 20  # bytes of an image
+DEEPEST = 16  # folders in an archive
 MOST_RATIO, SLACK = 30, 1 << 20  # times its packed bytes, plus bytes, of the metadata: numbers shrink to a third
 TO_OURS = np.diag([1.0, -1.0, -1.0, 1.0])  # y up and -z forward to y down and z forward
 DAMAGE = (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error, EOFError)
@@ -103,7 +104,7 @@ def read(path: Path, options: Options) -> Recording:
 def _root(path: Path) -> Place:
     """Where the metadata is: in the folder or archive, or in the one folder that is in it."""
     try:
-        top: Place = path if path.is_dir() else zipfile.Path(zipfile.ZipFile(path))
+        top: Place = path if path.is_dir() else _opened(path)
         inner = [place for place in top.iterdir() if place.is_dir() and not place.name.startswith(("_", "."))]
         for place in (top, *inner):
             if any((place / name).is_file() for name in METADATA):
@@ -111,6 +112,14 @@ def _root(path: Path) -> Place:
     except (OSError, zipfile.BadZipFile) as error:
         raise IdRgbdoError(f"{path}: cannot open the recording ({error}); copy or share it again") from error
     raise IdRgbdoError(f"{path}: expected Record3D's metadata, found none; share the recording again")
+
+
+def _opened(path: Path) -> zipfile.Path:
+    """An archive, of which zipfile.Path names all folders above each file: those of deep ones would fill the memory."""
+    archive = zipfile.ZipFile(path)
+    if any(name.count("/") > DEEPEST for name in archive.namelist()):
+        raise zipfile.BadZipFile("folders in folders in folders, which no recording has")
+    return zipfile.Path(archive)
 
 
 def _metadata(root: Place, path: Path) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import sqlite3
 import struct
 from pathlib import Path
 
+import cv2
 import mcap_writer
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from fuzz.promise import limits
 
 from idrgbdo_torch.datasets import open_sequence
 from idrgbdo_torch.datasets.bags.pages import Pages
+from idrgbdo_torch.datasets.images import read_labels
 from idrgbdo_torch.datasets.packed import unpacked
 from idrgbdo_torch.errors import IdRgbdoError
-from idrgbdo_torch.frame import RgbdFrame
+from idrgbdo_torch.frame import BrokenFrame, RgbdFrame
 
 PAGE = 4096
 FRAMES = recorded.FRAMES
@@ -128,6 +130,31 @@ def test_nothing_unpacks_to_gigabytes(door: str, tmp_path: Path) -> None:
                 list(open_sequence(path))
             except IdRgbdoError as error:
                 assert "\n" not in str(error) and str(path) in str(error)
+
+
+def test_images_of_many_layers_or_large_tiles_are_refused(tmp_path: Path) -> None:
+    path = recorded.write(recorded.folder_of("arrays"), tmp_path)
+    bombs.exr_bomb(path / "depth" / "2.exr")
+    (path / "depth" / "3.tiff").write_bytes(bombs.tiff_bomb())
+    with limits(10, 300 << 20):
+        reasons = [frame.reason for frame in open_sequence(path) if isinstance(frame, BrokenFrame)]
+    assert len(reasons) == 2 and "got 90 million numbers in 1 parts" in reasons[0] and "16384x16384" in reasons[1]
+
+
+def test_a_phones_archive_of_endless_folders_is_refused(tmp_path: Path) -> None:
+    parts = {f"{k}/" * 30_000 + "a": b"" for k in range(9)}
+    path = bombs.archive_of({"metadata": b"{}", **parts}, tmp_path / "a.r3d")
+    with limits(10, 100 << 20), pytest.raises(IdRgbdoError, match="folders in folders in folders"):
+        open_sequence(path)
+
+
+def test_a_confidence_of_any_size_is_no_confidence(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(bombs.png_bomb((30_000, 30_000), color=True))
+    with limits(10, 100 << 20):
+        assert read_labels(tmp_path / "a.png") is None
+    cv2.imwrite(str(tmp_path / "b.png"), np.full((192, 256), 2, np.uint8))
+    labels = read_labels(tmp_path / "b.png")
+    assert labels is not None and labels.shape == (192, 256) and (labels == 2).all()
 
 
 def test_a_refused_chunk_says_by_how_much(tmp_path: Path) -> None:

@@ -159,10 +159,10 @@ def declared(rng: Generator) -> int:
     return int((0, 100, 1 << 20, 200 << 20, GIGABYTES, (1 << 63) - 1)[rng.integers(6)])
 
 
-def exr_bomb(folder_file: str, layers: int = 24, side: int = 4096) -> None:
+def exr_bomb(path: Path, layers: int = 40, side: int = 1536) -> None:
     """Write an image of many layers of nothing."""
     import OpenEXR
 
     nothing = np.zeros((side, side), np.float32)
     head = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(head, {f"{k}.Z": nothing for k in range(layers)}).write(folder_file)
+    OpenEXR.File(head, {f"{k}.Z": nothing for k in range(layers)}).write(str(path))

@@ -147,10 +147,13 @@ def array(rng: Generator, folder: Path) -> Path:
 
 def image(rng: Generator, folder: Path) -> Path:
     files = recorded.folder_of("arrays")
+    if rng.random() < 0.2:
+        path = recorded.write(files, folder)
+        bombs.exr_bomb(path / "depth" / "2.exr")
+        return path
     if rng.random() < 0.5:
         return recorded.write({**files, "made/depth/3.tiff": bombs.tiff_bomb()}, folder)
-    path = recorded.write({**files, "made/rgb/2.bmp": bombs.png_bomb((64, 48), color=True)}, folder)
-    return path
+    return recorded.write({**files, "made/rgb/2.bmp": bombs.png_bomb((64, 48), color=True)}, folder)
 
 
 def compressed_depth(rng: Generator, folder: Path) -> Path:
@@ -164,8 +167,10 @@ def compressed_depth(rng: Generator, folder: Path) -> Path:
 
 def phone(rng: Generator, folder: Path) -> Path:
     parts = record3d_parts(recorded.film())
-    kind = rng.integers(4)
+    kind = rng.integers(5)
     path = folder / "a.r3d"
+    if kind == 4:
+        return bombs.archive_of({**parts, **{f"{k}/" * 30_000 + "a": b"" for k in range(9)}}, path)
     if kind < 2:
         parts["rgbd/1.depth"] = bombs.lzfse_bomb(lies=kind == 0)
         return bombs.archive_of(parts, path)
@@ -173,7 +178,7 @@ def phone(rng: Generator, folder: Path) -> Path:
     return bombs.archive_of(parts, path, chosen, lies=kind == 2)
 
 
-REASONS = ("more than", "unpack", "pixels", "cannot read")
+REASONS = ("more than", "folders in folders", "unpack", "pixels", "cannot read")
 MAY_BE_IMAGES = ("an image", "compressed depth")  # whole ones, with more behind their last row
 DOORS: dict[str, Callable[[Generator, Path], Path]] = {
     "a chunk of mcap": mcap_chunk,
