@@ -65,9 +65,13 @@ class SqliteStorage(Storage):
         ).fetchmany(most + 1)
         if len(rows) > most:
             raise sqlite3.DatabaseError("it has more rows than its bytes can hold")
+        (count,) = database.execute("SELECT count(*) FROM messages").fetchone()
         database.set_progress_handler(None, 0)
         self.topics = {number: (str(name), str(kind)) for number, name, kind in topics if isinstance(number, int)}
         self._take(rows)
+        strange = count - len(rows) + sum(topic not in self.topics for _, topic, _ in rows)
+        if strange:
+            self.note_damage(0, f"{strange} rows of messages of no topic, or at no time")
 
     def _take(self, rows: list[tuple[int, int, int]]) -> None:
         found = np.array(rows, np.int64).reshape(-1, 3)  # number, topic, ns
