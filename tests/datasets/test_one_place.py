@@ -178,3 +178,18 @@ def test_lzfse_is_believed_no_further_than_its_blocks(tmp_path: Path) -> None:
     for end in (0, 20, len(packed) // 2, len(packed) - 1):
         with pytest.raises(IdRgbdoError, match="here: cannot unpack"):
             unpacked(packed[: max(end, 4)], "here")
+
+
+def test_a_row_that_has_become_another_one_is_said(tmp_path: Path) -> None:
+    name, data = database()
+    pages = [at for at in range(8 * PAGE, len(data), PAGE) if data[at] == 13 and data[at + 4] >= 2]
+    nothing = struct.pack(">H", 8 + 2 * data[pages[0] + 4] + 20)  # a place between the cells and their list
+    found, warnings = sound({name: data[: pages[0] + 10] + nothing + data[pages[0] + 12 :]}, tmp_path)
+    assert len(found) >= FRAMES - 1 and any("1 rows of messages of no topic" in warning for warning in warnings)
+
+
+def test_a_schema_that_is_no_text_costs_nothing(tmp_path: Path) -> None:
+    name, data = database()
+    at = data.index(b"tablemessagesmessages") + 8
+    found, warnings = sound({name: data[:at] + b"\x8b" + data[at + 1 :]}, tmp_path)
+    assert found == list(range(FRAMES)) and any("18 rows are left" in warning for warning in warnings)

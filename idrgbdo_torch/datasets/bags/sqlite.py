@@ -11,6 +11,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from ..bag_files import damage
 from .pages import Pages
 from .storage import LAST, Storage
 from .unpack import MOST_UNPACKED
@@ -35,7 +36,7 @@ class SqliteStorage(Storage):
             stack.callback(self.close)
             try:
                 self._open()
-            except sqlite3.Error as error:
+            except damage() as error:  # sqlite3.Error, or that its message is no text
                 self._salvage(str(error))
             stack.pop_all()
 
@@ -116,7 +117,7 @@ class SqliteStorage(Storage):
                 found = self._database.execute("SELECT data FROM messages WHERE id = ?", (number,)).fetchone()
                 if found and isinstance(found[0], bytes):
                     return found[0]
-            except sqlite3.Error as error:
+            except damage() as error:  # sqlite3.Error, or that its message is no text
                 reason = f"{reason} ({error})"
         data = self._found().data(number)
         if data is None:
