@@ -193,3 +193,13 @@ def test_a_schema_that_is_no_text_costs_nothing(tmp_path: Path) -> None:
     at = data.index(b"tablemessagesmessages") + 8
     found, warnings = sound({name: data[:at] + b"\x8b" + data[at + 1 :]}, tmp_path)
     assert found == list(range(FRAMES)) and any("18 rows are left" in warning for warning in warnings)
+
+
+def test_a_topic_that_nothing_leads_to_is_found_again(tmp_path: Path) -> None:
+    name, data = database()
+    page = data.index(b"/camera/color/image_rawsensor_msgs/msg/Image") // PAGE * PAGE
+    assert data[page] == 13 and data[page + 4] == 3
+    for cell in range(3):
+        at = page + 8 + 2 * cell
+        found, warnings = sound({name: data[:at] + b"\x07\x00" + data[at + 2 :]}, tmp_path)
+        assert found == list(range(FRAMES)) and any("1 of which were found again" in said for said in warnings)

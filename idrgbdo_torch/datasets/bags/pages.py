@@ -60,10 +60,13 @@ class Pages:
 
     def _leaf(self, page: bytes, number: int, begin: int) -> None:
         """Take the rows of a page, those that are none left out."""
-        cells = int.from_bytes(page[begin + 3 : begin + 5])
+        cells, topics = int.from_bytes(page[begin + 3 : begin + 5]), len(self.topics)
         for place in range(begin + 8, min(begin + 8 + 2 * cells, len(page) - 1), 2):
             at = int.from_bytes(page[place : place + 2])
             if place < at < self._usable and len(self.rows) < MOST_ROWS:
+                self._cell(page, number, at)
+        if len(self.topics) > topics:  # others may stand beside it though nothing leads to them
+            for at in range(begin + 8, self._usable):
                 self._cell(page, number, at)
 
     def _cell(self, page: bytes, number: int, at: int) -> None:
@@ -83,7 +86,7 @@ class Pages:
             if own in (None, key) and isinstance(topic, int) and isinstance(time, int) and 0 <= time <= LAST:
                 self.rows.setdefault(key, Row(topic, time, number, at, local, length, ends[2]))
                 return
-        if len(values) >= 4 and isinstance(values[1], bytes) and isinstance(values[2], bytes):
+        if len(values) >= 4 and length == ends[-1] and isinstance(values[1], bytes) and isinstance(values[2], bytes):
             name, kind = (text.decode("utf-8", "replace") for text in values[1:3] if isinstance(text, bytes))
             if TYPE.fullmatch(kind) and name:
                 self.topics.setdefault(key, (name, kind))

@@ -70,6 +70,11 @@ class SqliteStorage(Storage):
         database.set_progress_handler(None, 0)
         self.topics = {number: (str(name), str(kind)) for number, name, kind in topics if isinstance(number, int)}
         self._take(rows)
+        missing = {topic for _, topic, _ in rows} - set(self.topics)
+        if missing:
+            again = {number: about for number, about in self._found().topics.items() if number in missing}
+            self.topics |= again
+            self.note_damage(0, f"{len(missing)} rows of topics, {len(again)} of which were found again")
         strange = count - len(rows) + sum(topic not in self.topics for _, topic, _ in rows)
         if strange:
             self.note_damage(0, f"{strange} rows of messages of no topic, or at no time")
