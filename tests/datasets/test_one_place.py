@@ -203,3 +203,15 @@ def test_a_topic_that_nothing_leads_to_is_found_again(tmp_path: Path) -> None:
         at = page + 8 + 2 * cell
         found, warnings = sound({name: data[:at] + b"\x07\x00" + data[at + 2 :]}, tmp_path)
         assert found == list(range(FRAMES)) and any("1 of which were found again" in said for said in warnings)
+
+
+@pytest.mark.parametrize("kind", ["ros1 lz4", "ros1"])
+def test_a_header_of_a_bag_that_lies_about_its_length_costs_nothing(kind: str, tmp_path: Path) -> None:
+    """It may lead into the middle of any chunk."""
+    data = recorded.bag_of(kind)["made.bag"]
+    _, begin, _ = bombs.bag_places(data)[0]
+    (head,) = struct.unpack_from("<I", data, begin)
+    at = begin + 4 + head
+    for length in (0, 5000, 0x8FB3, len(data) - at - 100):
+        bad = data[:at] + struct.pack("<I", length) + data[at + 4 :]
+        assert sound({"made.bag": bad}, tmp_path)[0] == list(range(FRAMES))

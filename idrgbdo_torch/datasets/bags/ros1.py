@@ -69,7 +69,7 @@ class BagLayout:
 
     def may_lie(self, record: Record) -> bool:
         """See Layout."""
-        return record.kind in (MESSAGE, CHUNK)
+        return record.kind != INDEX  # whose entries are counted
 
 
 class Ros1Storage(ChunkedStorage):
