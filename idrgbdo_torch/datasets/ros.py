@@ -178,19 +178,19 @@ class _Bag:
     def calibration(self, color_topic: str) -> Calibration:
         """From the camera_info beside the colour topic. Raises IdRgbdoError without one."""
         namespace = re.sub(r"/(compressed|compressedDepth)$", "", color_topic).rsplit("/", 1)[0]
+        first_error: IdRgbdoError | None = None
         infos = [c for c in self.reader.connections if c.msgtype == INFO_TYPE]
         for connection in infos:
             if connection.topic.rsplit("/", 1)[0] == namespace:
                 where = f"{self._path}, {connection.topic}"
-                first_error = None
                 for _, data in islice(self._messages(connection), LOOK_AT):
                     try:
                         with _damage_named(where):
                             return calibration_of_info(self._decode(data, connection), "rect" in color_topic, where)
                     except IdRgbdoError as error:
                         first_error = first_error or error
-                if first_error is not None:
-                    raise first_error
+        if first_error is not None:
+            raise first_error
         raise IdRgbdoError(
             f"{self._path}: expected '{namespace}/camera_info', found {', '.join(c.topic for c in infos) or 'none'}; "
             "pass --camera F.toml with fx, fy, cx, cy"

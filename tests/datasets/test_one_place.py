@@ -185,7 +185,7 @@ def test_a_row_that_has_become_another_one_is_said(tmp_path: Path) -> None:
     pages = [at for at in range(8 * PAGE, len(data), PAGE) if data[at] == 13 and data[at + 4] >= 2]
     nothing = struct.pack(">H", 8 + 2 * data[pages[0] + 4] + 20)  # a place between the cells and their list
     found, warnings = sound({name: data[: pages[0] + 10] + nothing + data[pages[0] + 12 :]}, tmp_path)
-    assert len(found) >= FRAMES - 1 and any("1 rows of messages of no topic" in warning for warning in warnings)
+    assert len(found) >= FRAMES - 1 and any("17 of its 18 rows are messages" in warning for warning in warnings)
 
 
 def test_a_schema_that_is_no_text_costs_nothing(tmp_path: Path) -> None:
@@ -215,3 +215,10 @@ def test_a_header_of_a_bag_that_lies_about_its_length_costs_nothing(kind: str, t
     for length in (0, 5000, 0x8FB3, len(data) - at - 100):
         bad = data[:at] + struct.pack("<I", length) + data[at + 4 :]
         assert sound({"made.bag": bad}, tmp_path)[0] == list(range(FRAMES))
+
+
+def test_a_root_that_has_become_another_page_costs_nothing(tmp_path: Path) -> None:
+    name, data = database()
+    leaf = next(at for at in range(6 * PAGE, len(data), PAGE) if data[at] == 13)
+    bad = data[: 5 * PAGE] + data[leaf : leaf + PAGE] + data[6 * PAGE :]
+    assert data[5 * PAGE] == 5 and sound({name: bad}, tmp_path)[0] == list(range(FRAMES))

@@ -68,6 +68,8 @@ class SqliteStorage(Storage):
             raise sqlite3.DatabaseError("it has more rows than its bytes can hold")
         (count,) = database.execute("SELECT count(*) FROM messages").fetchone()
         database.set_progress_handler(None, 0)
+        if count != len(rows):  # as where a page has become another one, or rows are none
+            raise sqlite3.DatabaseError(f"{len(rows)} of its {count} rows are messages")
         self.topics = {number: (str(name), str(kind)) for number, name, kind in topics if isinstance(number, int)}
         self._take(rows)
         missing = {topic for _, topic, _ in rows} - set(self.topics)
@@ -75,9 +77,9 @@ class SqliteStorage(Storage):
             again = {number: about for number, about in self._found().topics.items() if number in missing}
             self.topics |= again
             self.note_damage(0, f"{len(missing)} rows of topics, {len(again)} of which were found again")
-        strange = count - len(rows) + sum(topic not in self.topics for _, topic, _ in rows)
+        strange = sum(topic not in self.topics for _, topic, _ in rows)
         if strange:
-            self.note_damage(0, f"{strange} rows of messages of no topic, or at no time")
+            self.note_damage(0, f"{strange} rows of messages of no topic")
 
     def _take(self, rows: list[tuple[int, int, int]]) -> None:
         found = np.array(rows, np.int64).reshape(-1, 3)  # number, topic, ns
