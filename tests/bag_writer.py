@@ -94,13 +94,16 @@ def write_bag(
     topics: tuple[str, str] = ("/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw"),
     delay_s: float = 0.004,
     burst: bool = False,
+    prepare: Callable[[Any], object] = id,
 ) -> Path:
     """The film as a recording at `path`; depth comes delay_s later and is recorded before its colour image.
 
-    burst: everything was recorded at one time, as on a machine that was busy.
+    burst: everything was recorded at one time, as on a machine that was busy. prepare: what is done with the writer
+    before it opens its file.
     """
     messages = Messages(version)
     writer = Writer1(path) if version == 1 else Writer2(path, version=9, storage_plugin=plugin)
+    prepare(writer)
     with writer:
         connections: dict[str, Any] = {}
 

@@ -1,4 +1,4 @@
-"""The files of a ROS recording before rosbags opens them: whole, plain, and of a size that its reader can take."""
+"""The files of a ROS recording before they are opened, and what reading them may raise."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ from importlib import import_module
 from pathlib import Path
 
 from ..errors import IdRgbdoError
-from ..text.files import DAMAGE, is_named, is_plain_file, read_bytes, unreadable
+from ..text.files import DAMAGE, is_named, is_plain_file
 
 INDEX_POSITION = b"index_pos="  # in the header of a ROS 1 bag: where its topics are listed, 0 until it is closed
 # below rosbags, of different versions of it: their errors
-LIBRARIES = {"apsw": "Error", "sqlite3": "Error", "compression.zstd": "ZstdError", "backports.zstd": "ZstdError"}
-MOST_METADATA = 256 << 10  # bytes of metadata.yaml: those of a thousand topics, parsed in seconds
-DEEPEST = 50  # lists in lists there
+LIBRARIES = {"sqlite3": "Error", "compression.zstd": "ZstdError", "backports.zstd": "ZstdError"}
+MOST_METADATA = 256 << 10  # bytes of metadata.yaml: those of a thousand topics
 HEAD = 4096  # bytes in which that header stands
 INDEX = 16 << 20  # bytes of the index that are looked at; the topics stand at its beginning
 
@@ -23,14 +22,9 @@ INDEX = 16 << 20  # bytes of the index that are looked at; the topics stand at i
 @cache
 def damage() -> tuple[type[Exception], ...]:
     """What rosbags, and the libraries below it, raise for damaged content."""
-    from rosbags.highlevel import AnyReaderError
-    from rosbags.rosbag1 import ReaderError as Error1
-    from rosbags.rosbag2 import ReaderError as Error2
     from rosbags.serde import SerdeError
-    from rosbags.typesys import TypesysError
 
-    kinds: list[type[Exception]] = [AnyReaderError, Error1, Error2, SerdeError, TypesysError]
-    kinds += [AssertionError, EOFError, RuntimeError, struct.error, *DAMAGE]
+    kinds: list[type[Exception]] = [SerdeError, AssertionError, EOFError, RuntimeError, struct.error, *DAMAGE]
     for module, name in LIBRARIES.items():
         with suppress(ImportError):
             kinds.append(getattr(import_module(module), name))
@@ -38,33 +32,13 @@ def damage() -> tuple[type[Exception], ...]:
 
 
 def check_files(path: Path) -> None:
-    """Raises IdRgbdoError for what rosbags would wait for, read whole, or call damaged without saying what to do."""
+    """Raises IdRgbdoError for what is no plain file and would be waited for."""
+    files = [path]
     if path.is_dir():
-        _check_metadata(path / "metadata.yaml")
         files = [file for file in path.iterdir() if file.suffix in (".mcap", ".db3", ".zstd")]
-    else:
-        files = [path]
     for file in files:
         if is_named(file) and not is_plain_file(file):
             raise IdRgbdoError(f"sequence: expected a recording at '{file}', found a pipe or a device; check the path")
-    if path.suffix == ".bag" and index_position(path) == 0:
-        raise IdRgbdoError(
-            f"{path}: the recording was interrupted before its index was written; write it with "
-            f"`rosbag reindex {path.name}`, which keeps the original as .orig.bag"
-        )
-
-
-def _check_metadata(path: Path) -> None:
-    """Raises IdRgbdoError where the time of its parser, which grows with the square of the depth, would be long."""
-    advice = "replace it, or name the .mcap or .db3 file"
-    depth = 0
-    for line in read_bytes(path, MOST_METADATA, "sequence", advice).splitlines():
-        for letter in line:
-            depth += (letter in b"[{") - (letter in b"]}")
-            if depth > DEEPEST:
-                raise unreadable(path, "nested too deep", "sequence", advice)
-        if line.count(b"- ") > DEEPEST:
-            raise unreadable(path, "nested too deep", "sequence", advice)
 
 
 def repair(path: Path) -> str:

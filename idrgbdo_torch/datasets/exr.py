@@ -12,6 +12,7 @@ from ..errors import IdRgbdoError
 from ..text.files import DAMAGE, is_plain_file
 
 DEPTH_CHANNELS = ("Z", "Y", "depth", "D", "R")  # in the order in which depth is looked for
+MOST_CHANNELS = 4  # of the largest image: all are unpacked
 SIGNATURE = b"\x76\x2f\x31\x01"
 
 
@@ -34,9 +35,15 @@ def read_exr(path: Path, most_pixels: int) -> NDArray[Any]:
         with path.open("rb") as file:
             if file.read(4) != SIGNATURE:
                 raise IdRgbdoError(f"{path}: expected an EXR image, got something else; copy or download it again")
-        window = OpenEXR.File(str(path), header_only=True).header()["dataWindow"]
-        width, height = (np.array(window[1], np.int64) - np.array(window[0], np.int64) + 1).tolist()
-        if not 0 < width * height <= most_pixels:
+        parts = [part.header for part in OpenEXR.File(str(path), header_only=True).parts]
+        sizes = [_size(head) for head in parts]
+        width, height = sizes[0]
+        numbers = sum(wide * high * len(head["channels"]) for (wide, high), head in zip(sizes, parts, strict=True))
+        if numbers > MOST_CHANNELS * most_pixels:
+            raise IdRgbdoError(
+                f"{path}: expected depth, got {numbers >> 20} million numbers in {len(parts)} parts; write it alone"
+            )
+        if not all(0 < wide * high <= most_pixels for wide, high in sizes):
             raise IdRgbdoError(
                 f"{path}: expected an image of at most {most_pixels >> 20} million pixels, got {width}x{height}; "
                 "replace it, or resize the images"
@@ -56,3 +63,9 @@ def read_exr(path: Path, most_pixels: int) -> NDArray[Any]:
     raise IdRgbdoError(
         f"{path}: expected depth in a channel {', '.join(DEPTH_CHANNELS)}, found {', '.join(channels)}; rename it"
     )
+
+
+def _size(head: dict[str, Any]) -> tuple[int, int]:
+    """(width, height) in px of a part of a file."""
+    (left, top), (right, bottom) = (map(int, corner) for corner in head["dataWindow"])
+    return right - left + 1, bottom - top + 1

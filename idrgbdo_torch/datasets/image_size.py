@@ -7,7 +7,8 @@ import struct
 
 PNG, JPEG, TIFF = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 NO_SIZE = {0xC4, 0xC8, 0xCC}  # JPEG's markers among those of frames that begin none
-WIDTH, HEIGHT = 256, 257  # TIFF's tags
+WIDTH, HEIGHT, TILE_WIDTH, TILE_HEIGHT = 256, 257, 322, 323  # TIFF's tags
+LARGE_TILE = 1 << 22  # px; tiles of usual files have 256x256, and memory is made for a whole one
 MOST_ENTRIES = 4096  # of a TIFF's first directory
 LOOK_AT = 1 << 16  # bytes in which text and boxes that tell the size stand
 
@@ -82,10 +83,13 @@ def _tiff(data: bytes) -> tuple[int, int] | None:
     for k in range(min(entries, MOST_ENTRIES)):
         place = at + (8 + 20 * k if big else 2 + 12 * k)
         tag, kind = struct.unpack_from(end + "HH", data, place)
-        if tag in (WIDTH, HEIGHT):
+        if tag in (WIDTH, HEIGHT, TILE_WIDTH, TILE_HEIGHT):
             layout = {3: "H", 16: "Q"}.get(kind, "I")
             found[tag] = struct.unpack_from(end + layout, data, place + (12 if big else 8))[0]
-    return (found[WIDTH], found[HEIGHT]) if len(found) == 2 else None
+    tile = found.get(TILE_WIDTH, 0), found.get(TILE_HEIGHT, 0)
+    if tile[0] * tile[1] > LARGE_TILE:
+        return tile
+    return (found[WIDTH], found[HEIGHT]) if {WIDTH, HEIGHT} <= set(found) else None
 
 
 def _webp(data: bytes) -> tuple[int, int] | None:

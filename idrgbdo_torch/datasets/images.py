@@ -20,8 +20,9 @@ from ..text.plain import shown
 from .exr import read_exr
 from .image_size import declared_size
 from .jpeg import decode_jpeg
+from .packed import member_bytes
+from .png import MOST_INFLATED, decode_png
 from .png import SIGNATURE as PNG_SIGNATURE
-from .png import decode_png
 
 # what OpenCV reads, numpy's arrays, and EXR
 IMAGE_SUFFIXES = frozenset(
@@ -30,6 +31,8 @@ IMAGE_SUFFIXES = frozenset(
 )
 MOST_PIXELS = 1 << 24  # of an image: 4096x4096, more than any depth camera has; memory is made for them
 MOST_BYTES = 32 * MOST_PIXELS  # of its file: four channels of 64 bits
+MOST_ARRAY = 8 * MOST_PIXELS + (64 << 10)  # of an array in an archive: 64 bits, and its head
+TOO_MANY = 64 << 20  # bytes that the rows of a PNG may have besides those that it declares
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 JPEG_TAIL = 1024  # bytes in which the end marker must stand; some cameras pad
 
@@ -61,6 +64,14 @@ def decode_color(data: bytes, where: str) -> NDArray[np.uint8]:
 def decode_depth(data: bytes, where: str) -> NDArray[Any]:
     """An encoded depth image as in `read_depth`; `where` leads the messages."""
     return as_depth(_decode(data, where, cv2.IMREAD_UNCHANGED), where)
+
+
+def read_labels(path: Path) -> NDArray[Any] | None:
+    """(H, W) whole numbers of an image, such as confidences; None where it cannot be read."""
+    try:
+        return _decode(_bytes(path), str(path), cv2.IMREAD_UNCHANGED)
+    except IdRgbdoError:
+        return None
 
 
 def as_depth(image: NDArray[Any], where: str) -> NDArray[Any]:
@@ -108,10 +119,7 @@ def _read_array(path: Path) -> NDArray[Any]:
             members = [name.removesuffix(".npy") for name in archive.namelist()]
             names = [k for k, name in enumerate(members) if len(members) == 1 or "depth" in name.lower()]
             if len(names) == 1:
-                member = archive.infolist()[names[0]]
-                if member.file_size > MOST_BYTES:
-                    raise ValueError(f"an array of more than {MOST_BYTES >> 20} MB")
-                return _array(archive.read(member))
+                return _array(member_bytes(archive, archive.infolist()[names[0]], MOST_ARRAY))
             there = shown(", ".join(members), quoted=False) or "nothing"
     except (*DAMAGE, RuntimeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise IdRgbdoError(f"{path}: cannot read the depth ({shown(error, quoted=False)}); {again}") from error
@@ -181,6 +189,7 @@ def _damage(data: bytes) -> str:
 def _png_damage(data: bytes) -> str:
     """Walk the chunks (length, type, data, checksum) up to IEND."""
     position = len(PNG_SIGNATURE)
+    rows: list[bytes] = []
     while position + 12 <= len(data):
         (length,) = struct.unpack_from(">I", data, position)
         end = position + 8 + length
@@ -188,7 +197,22 @@ def _png_damage(data: bytes) -> str:
             break
         if struct.unpack_from(">I", data, end)[0] != zlib.crc32(data[position + 4 : end]):
             return f"damaged PNG (wrong checksum near byte {position})"
-        if data[position + 4 : position + 8] == b"IEND":
-            return ""
+        kind = data[position + 4 : position + 8]
+        if kind == b"IEND":
+            return _too_many_rows(b"".join(rows), data)
+        rows += [data[position + 8 : end]] if kind == b"IDAT" else []
         position = end + 4
     return f"truncated PNG ({len(data)} bytes without an end chunk)"
+
+
+def _too_many_rows(packed: bytes, data: bytes) -> str:
+    """Whether the rows of a PNG unpack to far more than it declares, all of which OpenCV would unpack."""
+    width, height, bits, kind = struct.unpack_from(">IIBB", data, 16)
+    most = height * (1 + width * bits * (4 if kind == 6 else 3) // 8) + TOO_MANY
+    if len(packed) * MOST_INFLATED <= most:
+        return ""
+    try:
+        unpacked = zlib.decompressobj().decompress(packed, most)
+    except zlib.error:
+        return ""  # for OpenCV to tell
+    return "damaged PNG (its rows are far more than it says)" if len(unpacked) >= most else ""

@@ -20,11 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import IdRgbdoError
+from ..text.files import MOST_JSON, plain_bytes, read_bytes
 from . import arkit
 from .builder import RawPair
 from .calibration import Calibration
 from .images import decode_color, read_depth
-from .packed import floats, unpacked
+from .packed import floats, member_bytes, unpacked
 from .pairing import FPS, alone_warning
 from .poses import reference
 from .recording import Options, Recording
@@ -35,6 +36,9 @@ COLORS = (".jpg", ".jpeg", ".png")
 RAW = (".depth", ".raw", ".bin")
 DEPTHS = (*RAW, ".exr", ".npy", ".npz", ".png", ".tif", ".tiff")
 CONFIDENCES = (".conf", ".png", ".npy")
+MOST_FILE = 64 << 20  # bytes of an image
+DEEPEST = 16  # folders in an archive
+MOST_RATIO, SLACK = 30, 1 << 20  # times its packed bytes, plus bytes, of the metadata: numbers shrink to a third
 TO_OURS = np.diag([1.0, -1.0, -1.0, 1.0])  # y up and -z forward to y down and z forward
 DAMAGE = (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error, EOFError)
 
@@ -45,7 +49,10 @@ def recognise(path: Path) -> bool:
         return path.suffix.lower() == ".r3d"
     files = [path / name for name in METADATA if (path / name).is_file()]
     folders = any((path / name).is_dir() for name in ("rgbd", "rgb"))
-    return bool(files) and folders and '"K"' in files[0].read_text(encoding="utf-8", errors="replace")
+    try:
+        return bool(files) and folders and b'"K"' in read_bytes(files[0], MOST_JSON)
+    except IdRgbdoError:
+        return False
 
 
 def read(path: Path, options: Options) -> Recording:
@@ -97,7 +104,7 @@ def read(path: Path, options: Options) -> Recording:
 def _root(path: Path) -> Place:
     """Where the metadata is: in the folder or archive, or in the one folder that is in it."""
     try:
-        top: Place = path if path.is_dir() else zipfile.Path(zipfile.ZipFile(path))
+        top: Place = path if path.is_dir() else _opened(path)
         inner = [place for place in top.iterdir() if place.is_dir() and not place.name.startswith(("_", "."))]
         for place in (top, *inner):
             if any((place / name).is_file() for name in METADATA):
@@ -107,10 +114,19 @@ def _root(path: Path) -> Place:
     raise IdRgbdoError(f"{path}: expected Record3D's metadata, found none; share the recording again")
 
 
+def _opened(path: Path) -> zipfile.Path:
+    """An archive, of which zipfile.Path names all folders above each file: those of deep ones would fill the memory."""
+    archive = zipfile.ZipFile(path)
+    if any(name.count("/") > DEEPEST for name in archive.namelist()):
+        raise zipfile.BadZipFile("folders in folders in folders, which no recording has")
+    return zipfile.Path(archive)
+
+
 def _metadata(root: Place, path: Path) -> dict[str, Any]:
     place = next(root / name for name in METADATA if (root / name).is_file())
     try:
-        found = json.loads(place.read_text(encoding="utf-8"))
+        packed = place.root.getinfo(place.at).compress_size if isinstance(place, zipfile.Path) else MOST_JSON
+        found = json.loads(_bytes(place, min(MOST_JSON, MOST_RATIO * packed + SLACK)).decode("utf-8"))
     except (*DAMAGE, RecursionError) as error:
         raise IdRgbdoError(f"{path}: cannot read {place.name} ({error}); share the recording again") from error
     return found if isinstance(found, dict) else {}
@@ -141,9 +157,11 @@ def _suffix(place: Place) -> str:
     return Path(place.name).suffix.lower()
 
 
-def _bytes(place: Place) -> bytes:
+def _bytes(place: Place, most: int = MOST_FILE) -> bytes:
     try:
-        return place.read_bytes()
+        if isinstance(place, Path):
+            return plain_bytes(place, most)
+        return member_bytes(place.root, place.root.getinfo(place.at), most)
     except DAMAGE as error:
         raise IdRgbdoError(f"{place}: cannot read the file ({error}); copy or download it again") from error
 

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import re
-import time
 import weakref
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
+from importlib import import_module
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ..errors import IdRgbdoError
 from ..text.files import is_named
-from ..text.plain import shown
+from ..text.plain import plain, shown
 from .bag_files import check_files, damage, repair
+from .bags.reader import Connection, Reader
 from .builder import RawPair
 from .calibration import Calibration, find_calibration
 from .pairing import pair_by_time, unpaired_warning
@@ -27,23 +28,20 @@ from .ros_images import DEPTH_HEADER, color_image, depth_image
 from .ros_topics import Topic, choose_topics
 from .usual import LOOK_AT
 
-if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
-    from rosbags.interfaces import Connection
-
 DEPTH_SCALE = 1000.0  # REP 118
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 Stamp = tuple[float, int]  # s of the header, ns at which it was recorded
 
-SHORTEST_NS = 4_000_000  # of a recording, that are left out where it cannot be read
-MOST_DAMAGED = 2000  # times that reading may fail, before the whole recording counts as damaged
-MOST_SALVAGE_S = 60.0  # that may be spent on reading around damage
-
 
 def recognise(path: Path) -> bool:
-    """Whether the file's or folder's name says so."""
-    return path.suffix in (".bag", ".mcap", ".db3") or is_named(path / "metadata.yaml")
+    """Whether the file's or folder's name says so; recordings that were interrupted have no metadata.yaml."""
+    if path.suffix in (".bag", ".mcap", ".db3") or is_named(path / "metadata.yaml"):
+        return True
+    own = re.compile(re.escape(path.name) + r"(_\d+)?\.(mcap|db3)")
+    with suppress(OSError):  # of a folder that may not be listed
+        return path.is_dir() and any(own.fullmatch(file.name) for file in path.iterdir())
+    return False
 
 
 def read(path: Path, options: Options) -> Recording:
@@ -57,6 +55,8 @@ def read(path: Path, options: Options) -> Recording:
     options = replace(options, camera=beside) if options.camera is None and beside.is_file() else options
     color, depth, ambiguous = bag.topics(options)
     of_color, of_depth = bag.stamps(color), bag.stamps(depth)
+    if bag.reader.revised():  # with what looking for depth has found
+        of_color = bag.stamps(color)
     frames = pair_by_time(of_color, of_depth, options.association_limit_s, path)
 
     def read_pair(index: int) -> RawPair:
@@ -79,7 +79,7 @@ def read(path: Path, options: Options) -> Recording:
         warnings=(
             *ambiguous,
             *unpaired_warning(of_color, of_depth, len(frames), options.association_limit_s),
-            *((f"{bag.damaged} damaged images, or places in the recording, are left out",) if bag.damaged else ()),
+            *bag.warnings(),
             *(bag.frame_warnings(color, frames[0][1], depth, frames[0][2]) if options.camera is None else ()),
         ),
     )
@@ -91,9 +91,16 @@ class _Bag:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.reader = _open(path)
-        self.damaged = 0  # images that have not even a time, and places where none can be read
-        self._unreadable = 0  # such places, in what was read last
+        self._timeless: set[tuple[str, int]] = set()  # images that have not even a time, by that of recording
         weakref.finalize(self, self.reader.close)
+
+    def warnings(self) -> tuple[str, ...]:
+        """What is damaged, and what else is to be said of the files."""
+        damaged = self.reader.damaged()
+        first = f" ({shown(plain(damaged[0]), quoted=False)})" if damaged else ""
+        count = len(damaged) + len(self._timeless)
+        left_out = f"{count} damaged images, or places in the recording, are left out{first}"
+        return (*self.reader.said(), *((left_out,) if count else ()))
 
     def topics(self, options: Options) -> tuple[Connection, Connection, tuple[str, ...]]:
         """The connections of colour and depth, and warnings. Raises IdRgbdoError where they cannot be told."""
@@ -125,22 +132,24 @@ class _Bag:
     def stamps(self, connection: Connection) -> list[tuple[float, Stamp]]:
         """The images of a topic by the time of their headers, or by that of their recording where headers have none.
 
-        Raises IdRgbdoError for a recording that is damaged between the images, or has none.
+        Raises IdRgbdoError for a recording that has none.
         """
         found: dict[float, Stamp] = {}
-        self._unreadable = 0
         clock = self._camera_clock(connection)
         for recorded, data in self._messages(connection):
             try:
                 stamp = self._stamp(self._decode(data, connection))
             except IdRgbdoError:
-                self.damaged += 1
+                self._timeless.add((connection.topic, recorded))
                 continue
             time = clock.get(recorded) or (stamp if stamp > 0 else recorded / 1e9)
             found[time] = (stamp, recorded)
-        self.damaged += self._unreadable
         if not found:
-            raise IdRgbdoError(f"{self._path}: expected images in '{connection.topic}', got none; name another topic")
+            damaged = self.reader.damaged()
+            why = f" (damaged: {damaged[0]})" if damaged else ""
+            raise IdRgbdoError(
+                f"{self._path}: expected images in '{connection.topic}', got none{why}; name another topic"
+            )
         return sorted(found.items())
 
     def _camera_clock(self, connection: Connection) -> dict[int, float]:
@@ -169,19 +178,19 @@ class _Bag:
     def calibration(self, color_topic: str) -> Calibration:
         """From the camera_info beside the colour topic. Raises IdRgbdoError without one."""
         namespace = re.sub(r"/(compressed|compressedDepth)$", "", color_topic).rsplit("/", 1)[0]
+        first_error: IdRgbdoError | None = None
         infos = [c for c in self.reader.connections if c.msgtype == INFO_TYPE]
         for connection in infos:
             if connection.topic.rsplit("/", 1)[0] == namespace:
                 where = f"{self._path}, {connection.topic}"
-                first_error = None
                 for _, data in islice(self._messages(connection), LOOK_AT):
                     try:
                         with _damage_named(where):
                             return calibration_of_info(self._decode(data, connection), "rect" in color_topic, where)
                     except IdRgbdoError as error:
                         first_error = first_error or error
-                if first_error is not None:
-                    raise first_error
+        if first_error is not None:
+            raise first_error
         raise IdRgbdoError(
             f"{self._path}: expected '{namespace}/camera_info', found {', '.join(c.topic for c in infos) or 'none'}; "
             "pass --camera F.toml with fx, fy, cx, cy"
@@ -212,35 +221,9 @@ class _Bag:
     def _messages(
         self, connection: Connection, start: int | None = None, stop: int | None = None
     ) -> Iterator[tuple[int, bytes]]:
-        """Time of recording (ns) and data of a topic's messages, less those in places that cannot be read.
-
-        Where reading fails, it goes on in either half of the time that is left. Raises IdRgbdoError where it fails
-        everywhere.
-        """
-        spans, failed, read = [(start, stop)], 0, 0
-        until = float("inf")
-        while spans:
-            a, b = spans.pop()
-            last = self.reader.start_time - 1 if a is None else a - 1
-            try:
-                with _damage_named(str(self._path)):
-                    for _, last, data in self.reader.messages([connection], a, b):
-                        read += 1
-                        yield last, data
-                continue
-            except IdRgbdoError:
-                failed += 1
-                until = min(until, time.monotonic() + MOST_SALVAGE_S)
-                if failed > MOST_DAMAGED or time.monotonic() > until or stop is not None:
-                    raise
-            a, b = last + 1, self.reader.end_time + 1 if b is None else b  # what was read is not read again
-            if b - a <= SHORTEST_NS:
-                self._unreadable += 1
-            else:
-                middle = (a + b) // 2
-                spans += [(middle, b), (a, middle)]
-        if failed and not read:
-            raise IdRgbdoError(f"{self._path}: no message of '{connection.topic}' can be read; record it again")
+        """Time of recording (ns) and data of a topic's messages, those that can be read."""
+        with _damage_named(str(self._path)):
+            yield from self.reader.messages(connection, start, stop)
 
     def _decode(self, data: bytes, connection: Connection) -> Any:
         with _damage_named(f"{self._path}, {connection.topic}"):
@@ -252,22 +235,16 @@ class _Bag:
             return float(stamp.sec + stamp.nanosec * 1e-9)
 
 
-def _open(path: Path) -> AnyReader:
+def _open(path: Path) -> Reader:
     try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
+        import_module("rosbags.typesys")
     except ImportError as error:
         raise IdRgbdoError(
             f'{path}: reading ROS recordings needs rosbags ({error}); run `pip install "idrgbdo_torch[ros]"`'
         ) from error
     check_files(path)
     with _damage_named(f"{path}: cannot read this as a ROS recording", repair(path)):
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        reader.open()
-        if not all(isinstance(name, str) for c in reader.connections for name in (c.topic, c.msgtype)):
-            reader.close()
-            raise ValueError("topics have numbers for names in metadata.yaml")
-    return reader
+        return Reader(path)
 
 
 @contextmanager

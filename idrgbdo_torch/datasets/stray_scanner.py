@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,7 +23,7 @@ from ..text.files import read_text
 from . import arkit
 from .builder import RawPair
 from .calibration import Calibration, find_calibration
-from .images import read_depth
+from .images import read_depth, read_labels
 from .pairing import FPS, numbered
 from .poses import Matrix, reference
 from .recording import Options, Recording
@@ -67,7 +66,7 @@ def read(folder: Path, options: Options) -> Recording:
         color = video.read(number)  # in any case, for frames come one after the other
         depth = read_depth(depths[number])
         confidence = confidences.get(number)
-        return color, arkit.sure(depth, None if confidence is None else _confidence(confidence))
+        return color, arkit.sure(depth, None if confidence is None else read_labels(confidence))
 
     first = arkit.first_good(read_images, len(numbers))
     own = arkit.own_or(folder, options.camera, _camera(folder, odometry))
@@ -135,7 +134,3 @@ def _camera(folder: Path, odometry: Odometry) -> Calibration:
         fx, fy, cx, cy = arkit.usual_lens(np.stack(list(odometry.lenses.values())))
         camera = replace(camera, fx=fx, fy=fy, cx=cx, cy=cy)
     return replace(camera, origin="camera of camera_matrix.csv")
-
-
-def _confidence(path: Path) -> NDArray[Any] | None:
-    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import IdRgbdoError
+from .images import refuse_size
 
 
 class Video:
@@ -58,4 +59,6 @@ class Video:
         self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
         if not self._capture.isOpened():
             raise IdRgbdoError(f"{self._path}: expected a video that OpenCV can decode, got none; copy it again")
+        size = (self._capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        refuse_size(tuple(map(int, size)), str(self._path))
         self._last, self._next = None, 0

@@ -188,7 +188,7 @@ def test_whatever_is_damaged_there_is_no_traceback(tmp_path: Path, version: int)
         except IdRgbdoError as error:
             refused += 1
             assert str(damaged) in str(error)
-    assert 30 <= refused < 150
+    assert 5 <= refused < 60
 
 
 def _still(frames: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -202,14 +202,16 @@ def test_damaged_and_foreign_files_are_one_line(film: Film, tmp_path: Path) -> N
         with pytest.raises(IdRgbdoError, match="cannot read this as a ROS recording"):
             open_sequence(tmp_path / name)
     whole = write_bag(film, tmp_path / "b.bag").read_bytes()
-    (tmp_path / "cut.bag").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(IdRgbdoError, match="cannot read this as a ROS recording"):
-        open_sequence(tmp_path / "cut.bag")
+    (tmp_path / "cut.bag").write_bytes(whole[: len(whole) // 2])  # as where copying was interrupted
+    cut = open_sequence(tmp_path / "cut.bag")
+    assert 13 <= len(cut) <= 15 and all(isinstance(frame, RgbdFrame) for frame in cut)
+    (warning,) = cut.warnings
+    assert "left out (no records from byte" in warning
 
 
 def test_without_rosbags_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.mcap").write_bytes(b"")
-    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     with pytest.raises(IdRgbdoError, match=r'pip install "idrgbdo_torch\[ros\]"'):
         open_sequence(tmp_path / "a.mcap")
 

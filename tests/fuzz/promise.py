@@ -16,7 +16,8 @@ from numpy.random import Generator
 
 from idrgbdo_torch.errors import IdRgbdoError
 
-MOST_S = 10
+MOST_S = 10  # of the processor
+WAITING = 12  # times as long may it take on a busy machine, or wait for something
 MOST_BYTES = 1 << 30  # that the peak of this process may rise by in one attack
 Value = TypeVar("Value")
 
@@ -27,7 +28,7 @@ class Attack:
 
     run: Callable[[Generator, Path], None]  # with an empty folder; raises whatever shows that a promise was broken
     every: int = 1  # of so many seeds that are its turn it is made for one: processes that are killed take seconds
-    most_s: int = MOST_S
+    most_s: int = MOST_S  # of the processor
     ready: Callable[[], object] = lambda: None  # what is done before and counts for no attack, such as compiling
 
 
@@ -57,23 +58,27 @@ def peak() -> int:
 
 
 @contextmanager
-def limits(most_s: int) -> Iterator[None]:
+def limits(most_s: int, most_bytes: int = MOST_BYTES) -> Iterator[None]:
     """Raises TimeoutError in what hangs, MemoryError after what took too much."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         raise TimeoutError(f"still at it after {most_s} s")
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.alarm(most_s)
-    begin = time.monotonic()
+    before = {number: signal.signal(number, stop) for number in (signal.SIGALRM, signal.SIGPROF)}
+    signal.alarm(WAITING * most_s)
+    signal.setitimer(signal.ITIMER_PROF, most_s)
+    begin, worked = time.monotonic(), time.process_time()
     least = fresh_peak()
     try:
         yield
     finally:
         signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
-    if time.monotonic() - begin > most_s:  # though what was attacked caught the TimeoutError, which is an OSError
-        raise TimeoutError(f"took {time.monotonic() - begin:.0f} s")
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    # though what was attacked caught the TimeoutError, which is an OSError
+    if time.process_time() - worked > most_s or time.monotonic() - begin > WAITING * most_s:
+        raise TimeoutError(f"took {time.process_time() - worked:.0f} s of {time.monotonic() - begin:.0f} s")
     rise = peak() - least
-    if rise > MOST_BYTES:
+    if rise > most_bytes:
         raise MemoryError(f"the peak of memory rose by {rise >> 20} MB")

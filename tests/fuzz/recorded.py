@@ -6,14 +6,16 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import bag_writer
 import cv2
 import format_writers
+import mcap_writer
 import numpy as np
 import torch
 from rendered import Film
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
 from idrgbdo_torch.definitions.camera import Pinhole
 from idrgbdo_torch.frame import RgbdFrame
@@ -96,7 +98,10 @@ WRITERS: dict[str, Callable[[Film, Path], object]] = {
     "folder": format_writers.own_folder,
     "arrays": arrays,
 }
-BAGS = ("ros1", "ros1 compressed images", "mcap", "mcap compressed images", "sqlite3")
+BAGS = (
+    *("ros1", "ros1 compressed images", "ros1 bz2", "ros1 lz4", "mcap", "mcap compressed images", "mcap messages"),
+    *("mcap file", "mcap recorder", "mcap recorder zstd", "mcap recorder lz4", "mcap recorder no chunks", "sqlite3"),
+)
 
 
 @cache
@@ -112,13 +117,28 @@ def bag_of(kind: str) -> Files:
     """A recording of one of BAGS: one file, or a folder with metadata.yaml."""
     version = 1 if kind.startswith("ros1") else 2
     plugin = StoragePlugin.SQLITE3 if kind == "sqlite3" else StoragePlugin.MCAP
+    if "recorder" in kind:
+        packing = "" if kind.endswith(("recorder", "chunks")) else kind.split()[-1]
+        made = mcap_writer.write_mcap(mcap_writer.messages(film()), packing, 0 if kind.endswith("chunks") else 3)
+        return {"made.mcap": made}
     packed = {}
     if "compressed" in kind:
         topics = ("/camera/color/image_raw/compressed", "/camera/depth/image_raw/compressedDepth")
         packed = {"color": bag_writer.png, "depth": bag_writer.compressed_depth, "topics": topics}
+
+    def prepare(writer: Any) -> None:
+        last = kind.split()[-1]
+        if version == 1:
+            writer.chunk_threshold = 20_000
+        if last in ("bz2", "lz4"):
+            writer.set_compression(writer.CompressionFormat[last.upper()])
+        if last in ("messages", "file"):
+            mode = CompressionMode.FILE if last == "file" else CompressionMode.MESSAGE
+            writer.set_compression(mode, CompressionFormat.ZSTD)
+
     with TemporaryDirectory() as parent:
         path = Path(parent) / ("made.bag" if version == 1 else "made")
-        bag_writer.write_bag(film(), path, version, plugin, **packed)
+        bag_writer.write_bag(film(), path, version, plugin, prepare=prepare, **packed)
         return _files(Path(parent))
 
 
@@ -132,7 +152,7 @@ def write(files: Files, parent: Path) -> Path:
         path = parent / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)
-    return parent / ("made.bag" if "made.bag" in files else "made")
+    return parent / next((name for name in ("made.bag", "made.mcap") if name in files), "made")
 
 
 def is_image(name: str) -> bool:

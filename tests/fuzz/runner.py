@@ -6,12 +6,13 @@ import argparse
 import traceback
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from . import checkpoints, doors, downloads, folders, frames, kills, readers, stress
+from . import checkpoints, doors, downloads, folders, frames, kills, readers, stress, structures
 from .promise import Attack, limits
 
 ATTACKS: Mapping[str, Attack] = {
@@ -27,6 +28,8 @@ ATTACKS: Mapping[str, Attack] = {
     "one text": Attack(readers.one_text, ready=readers.ready),
     "strange folder": Attack(readers.strange_folder, ready=readers.ready),
     "bags": Attack(readers.bags, ready=readers.ready),
+    "inner places": Attack(structures.inner, ready=readers.ready),
+    "bombs": Attack(structures.bomb, every=10, ready=readers.ready),
     "camera files": Attack(readers.camera_files),
     "settings": Attack(readers.settings),
     "poses": Attack(readers.poses),
@@ -61,12 +64,13 @@ def run(seeds: Iterable[int], attacks: Mapping[str, Attack] = ATTACKS) -> int:
     """Run the attacks of all seeds, print what broke with the seed that repeats it, and how many were made."""
     made: Counter[str] = Counter()
     broken: Counter[str] = Counter()
-    for seed in seeds:
-        name, trouble = attack(seed, attacks)
-        made[name] += bool(name)
-        if trouble:
-            broken[name] += 1
-            print(f"seed {seed}, {name}: python -m tests.fuzz --seeds {seed}:{seed + 1}\n{trouble}", flush=True)
+    with suppress(KeyboardInterrupt):  # what was made until then counts
+        for seed in seeds:
+            name, trouble = attack(seed, attacks)
+            made[name] += bool(name)
+            if trouble:
+                broken[name] += 1
+                print(f"seed {seed}, {name}: python -m tests.fuzz --seeds {seed}:{seed + 1}\n{trouble}", flush=True)
     for name in attacks:
         print(f"{name:<20}{made[name]:>7} made{broken[name]:>6} broken")
     return 1 if broken else 0
