@@ -38,10 +38,10 @@ class Case:
         return select_points(self.keyframe, EYE, m, PRIOR, CONFIG.selection, NOISE, np.random.default_rng(0), FUSED)
 
     def track(self, m: int = 24, guess: np.ndarray = EYE, prior: np.ndarray = PRIOR, frame: Frame | None = None,
-              affine: np.ndarray = NO_CHANGE) -> Tracked:  # fmt: skip
+              affine: np.ndarray = NO_CHANGE, noise: Noise = NOISE) -> Tracked:  # fmt: skip
         coarse = Subset(self.keyframe.coarse, PIXELS)
         return track_frame(
-            self.pair(frame), State(guess, affine), self.choose(m), coarse, prior, CONFIG.tracking.levels
+            self.pair(frame, noise), State(guess, affine), self.choose(m), coarse, prior, CONFIG.tracking.levels
         )
 
     def pair(self, frame: Frame | None = None, noise: Noise = NOISE, backend: Backend = FUSED) -> Pair:
