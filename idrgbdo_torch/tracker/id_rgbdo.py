@@ -152,6 +152,8 @@ class IdRgbdo(Losing):
 
     def _pair(self, frame: Frame, reference: Reference) -> Pair:
         noise = with_blur(self.noise, self.config.noise, frame.camera.fx, self.motion.turn, reference.turn)
+        if not self.motion.explained:  # what does not belong to the world is seen by the many, which were not chosen
+            noise = noise._replace(coarse=0.0)
         return Pair(frame, reference.keyframe, noise, self.backend)
 
     def _late_keyframe(self, frame: Frame, verdict: Verdict) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import resource
+import signal
 from pathlib import Path
 
 from numpy.random import Generator
@@ -27,6 +28,7 @@ COLUMNS = 500  # bytes that the files have before the first frame, about
 def full_disk(rng: Generator, folder: Path) -> None:
     """A frame stands in all files or in none, wherever the disk is full, and the next fits after room was made."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # as Python has it, which a camera's driver may have changed
     number = 0
     with RunFolder(folder / "run") as run:
         resource.setrlimit(resource.RLIMIT_FSIZE, (COLUMNS + int(rng.integers(6000)), before[1]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import os
 import resource
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -29,6 +30,7 @@ from idrgbdo_torch.trajectory import read_tum
 def files_of_at_most(size: int) -> Iterator[None]:
     """The system refuses to let a file grow further, in the middle of what is written, as a full disk does."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # as Python has it, which a camera's driver may have changed
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
         yield

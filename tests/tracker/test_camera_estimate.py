@@ -14,6 +14,7 @@ import torch
 from rendered import Film, later
 
 from idrgbdo_torch import IdRgbdo
+from idrgbdo_torch.config import Config, KeyframeConfig
 from idrgbdo_torch.definitions.camera import Pinhole
 from idrgbdo_torch.definitions.records import Records
 from idrgbdo_torch.frame import RgbdFrame
@@ -60,8 +61,10 @@ def watched(frames: Iterable[RgbdFrame], odometry: Odometry, sparing: bool = Fal
     return estimator
 
 
-def estimate(frames: Sequence[RgbdFrame]) -> CameraEstimate:
-    found = watched(frames, IdRgbdo()).estimate(frames[0].camera)
+def estimate(frames: Sequence[RgbdFrame], bits: float = 0.42) -> CameraEstimate:
+    """bits: how much less certain a frame is that becomes a keyframe; a short film may have few of them."""
+    often = IdRgbdo(replace(Config(), keyframe=KeyframeConfig(threshold_bits=bits)))
+    found = watched(frames, often).estimate(frames[0].camera)
     assert found is not None
     return found
 
@@ -94,7 +97,7 @@ def test_a_faultless_film_shows_the_camera_that_took_it(desk: Film) -> None:
     for (value, sigma), true in zip(numbers(found).values(), (1.0, *8 * (0.0,)), strict=True):
         assert abs(value - true) < 3.0 * sigma
     assert found.focal_factor.is_seen and found.focal_factor.sigma < 0.01
-    assert found.depth_delay_ms.is_seen and found.depth_delay_ms.sigma < 3.0
+    assert found.depth_delay_ms.is_seen and found.depth_delay_ms.sigma < 4.0
     assert found.departures(desk.frames[0].camera) == {}
 
 
@@ -118,7 +121,7 @@ def test_wrong_intrinsics_are_told_by_how_much(desk: Film) -> None:
 def test_what_is_wrong_with_depth_is_told_apart(
     desk: Film, fault: Callable[[Sequence[RgbdFrame]], list[RgbdFrame]], name: str, true: float
 ) -> None:
-    value, sigma = numbers(estimate(fault(desk.frames)))[name]
+    value, sigma = numbers(estimate(fault(desk.frames), bits=0.2))[name]
     assert abs(value - true) < 3.0 * sigma < value
 
 

@@ -92,6 +92,7 @@ def start_elsewhere(odometry: IdRgbdo, frame: Frame, reason: str) -> TrackResult
     """A new segment, a metre away from where the track broke."""
     if odometry.reference is not None:
         odometry.motion.T_cam_world = retract(np.array([1.0, 0, 0, 0, 0.3, 0]), odometry.motion.T_cam_world)
+        odometry.motion.said = None
     return IdRgbdo._start_segment(odometry, frame, reason)
 
 
