@@ -152,7 +152,7 @@ class IdRgbdo(Losing):
 
     def _pair(self, frame: Frame, reference: Reference) -> Pair:
         noise = with_blur(self.noise, self.config.noise, frame.camera.fx, self.motion.turn, reference.turn)
-        if not self.motion.explained:  # what does not belong to the world is seen by the many, which were not chosen
+        if self.motion.sees_other_things:  # by the many coarse points, which were not chosen
             noise = noise._replace(coarse=0.0)
         return Pair(frame, reference.keyframe, noise, self.backend)
 

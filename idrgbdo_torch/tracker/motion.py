@@ -93,6 +93,11 @@ class Motion:
         return self.explained or self.contested
 
     @property
+    def sees_other_things(self) -> bool:
+        """Whether the last image showed something that is not of the world; wide steps explain less in any case."""
+        return not self.explained and self.dt < VIDEO_S
+
+    @property
     def doubt(self) -> str:
         """Why a pose is not to be believed that explains what is in view, empty where it is."""
         return "" if self.carried is None else self.carried.doubt
