@@ -342,7 +342,7 @@ def test_recovery_is_the_same(sequence: Film) -> None:
 def test_smaller_patches_are_smaller_everywhere_and_the_same(sequence: Film, patch: int, limit: float) -> None:
     """`tracking.patch` reaches candidates, window and noise of both backends."""
     frames = sequence.frames[:16]
-    often = KeyframeConfig(threshold_bits=0.3)  # so that the window has something to do
+    often = KeyframeConfig(threshold_bits=0.15)  # so that the window has something to do
     small = replace(Config(), tracking=replace(Config().tracking, patch=patch), keyframe=often)
     odometry = IdRgbdo(small)
     fused, mine = run(odometry, frames), run(IdRgbdo(replace(small, backend="torch")), frames)
