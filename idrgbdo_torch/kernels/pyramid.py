@@ -1,4 +1,4 @@
-"""The gray pyramid: halving by 2x2 means, and a small blur. A frame's most costly pixels, so each is read once."""
+"""The gray pyramid: halving by 2x2 means, and a small blur, in one pass over the rows of an image each."""
 
 from __future__ import annotations
 

@@ -89,7 +89,8 @@ def align(view, points, coarse, fine, start, prior, noise, steps):
             limit = noise.outlier
             energy, seen, kept = linearise(view, level, points, subset, state, scale, limit, noise, system)
             energy += prior_terms(system, state, affine_centre, prior, affine_prior)
-            energy += heard_terms(system, state, heard)
+            if finest:
+                energy += heard_terms(system, state, heard)
             damping = 0.0
             iterations = 0
             while iterations < steps[level]:
@@ -104,7 +105,8 @@ def align(view, points, coarse, fine, start, prior, noise, steps):
                 new = State(retract(step[:6], state.T), state.affine + step[6:])
                 energy_new, seen_new, kept_new = linearise(view, level, points, subset, new, scale, limit, noise, trial)
                 energy_new += prior_terms(trial, new, affine_centre, prior, affine_prior)
-                energy_new += heard_terms(trial, new, heard)
+                if finest:
+                    energy_new += heard_terms(trial, new, heard)
                 # a point that leaves the image must not look like a gain
                 lost = max(0, seen - seen_new)
                 if np.isfinite(energy_new) and energy_new + lost * subset.pixels <= energy:

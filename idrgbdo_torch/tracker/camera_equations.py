@@ -13,15 +13,17 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from ..definitions.camera import Pinhole
+from ..definitions.convert import inverse_of_depth
+from ..definitions.image import sample_surface, sample_with_gradient
 from ..frame import Frame, Keyframe
 from ..measurement import FLOOR, OTHER_SURFACE, PATTERN_U, PATTERN_V, STEP, Noise
 from .backends import Backend
 from .candidates import PLANE_RADIUS
 from .instant import flow
-from .sampling import sampled, sampled_surface
 
 Array = NDArray[np.float64]
 
@@ -91,7 +93,7 @@ def pair_says(host: Moving, target: Moving, T: Array, noise: Noise, backend: Bac
         return None
     placed = placed_in_target(points, T, camera)
     J = jacobians(points, placed, T, target.velocity, camera)
-    patches = patch_equations(points, placed, T, target.keyframe.frame, noise)
+    patches = patch_equations(points, placed, T, target.keyframe.frame, noise, backend)
     if patches is None:
         return None
     G, c, kept = patches
@@ -193,7 +195,7 @@ def jacobians(points: Hosted, placed: Placed, T: Array, velocity: Array, camera:
 
 
 def patch_equations(
-    points: Hosted, placed: Placed, T: Array, frame: Frame, noise: Noise
+    points: Hosted, placed: Placed, T: Array, frame: Frame, noise: Noise, backend: Backend
 ) -> tuple[Array, Array, NDArray[np.bool_]] | None:
     """What the patches say of [u, v, a, b]: G (N, 4, 4), c (N, 4), and which points were kept; None if too few."""
     camera, R = frame.camera, T[:3, :3]
@@ -202,9 +204,10 @@ def patch_equations(
         for row, of in enumerate((placed.x, placed.y, np.ones_like(placed.x)))
     ]
     z = np.maximum(q[2], 1e-3)
-    value, right, down, inside = sampled(
-        frame.images[0], camera.fx * q[0] / z + camera.cx, camera.fy * q[1] / z + camera.cy
-    )
+    uv = np.stack([camera.fx * q[0] / z + camera.cx, camera.fy * q[1] / z + camera.cy], axis=-1)
+    image = torch.from_numpy(frame.images[0])
+    value, slope, inside = (x.numpy() for x in sample_with_gradient(image, torch.from_numpy(uv)))
+    right, down = slope[..., 0], slope[..., 1]
     seen = placed.live & inside.all(1)
     if seen.sum() < max(LEAST_KEPT * len(seen), STEP):
         return None
@@ -220,7 +223,7 @@ def patch_equations(
     moved = host_u * placed.along[0][:, None] + host_v * placed.along[1][:, None]  # by an error of the inverse depth
     s = np.abs(r) / np.sqrt(variance + h * noise.shared * moved**2 * points.variance[:, None])
     rms = np.sqrt((s * s).mean(1))
-    scale = robust_scale_of(rms[seen])
+    scale = backend.robust_scale(rms[seen])
     kept = seen & (rms <= noise.outlier * scale)
     if kept.sum() < max(LEAST_KEPT * len(kept), STEP):
         return None
@@ -239,11 +242,6 @@ def patch_equations(
     return weighted @ rows.transpose(0, 2, 1), -(weighted @ r[..., None])[..., 0], kept
 
 
-def robust_scale_of(rms: Array) -> float:
-    """Robust scale of whitened residuals (N,) of points that are seen."""
-    return max(float(np.median(rms)) / 0.9, 0.5)
-
-
 def depth_rows(
     points: Hosted, placed: Placed, T: Array, J: Array, target: Moving, noise: Noise, kept: NDArray[np.bool_]
 ) -> tuple[Array, Array, Array]:
@@ -253,7 +251,8 @@ def depth_rows(
     """
     camera = target.keyframe.frame.camera
     u, v = camera.fx * placed.x + camera.cx, camera.fy * placed.y + camera.cy
-    measured, on_surface = sampled_surface(target.keyframe.frame.depth, u, v)
+    there = inverse_of_depth(target.keyframe.frame.depth)
+    measured, _, on_surface = (x.numpy() for x in sample_surface(there, torch.from_numpy(np.column_stack([u, v]))))
     x, y, z, rho, t = placed.x, placed.y, placed.z, placed.rho, T[:3, 3]
     slope_u, slope_v = placed.slope.T
     right, down, approach = flow(camera, x, y, rho, target.velocity)

@@ -208,9 +208,8 @@ class IdRgbdo(Losing):
             return False
         before = self.window.members.keyframes[-1].frame if self.window.members else frame
         sharp = sharpness_since(self._pair(frame, reference), tracked.T_frame_kf, before)
-        if sharp < BLURRED and not wanted:
-            return False
-        if sharp < BLURRED and verdict.visible > KEPT_IN_VIEW and not self.history.settles:
+        in_view = verdict.visible > KEPT_IN_VIEW and not self.history.settles
+        if sharp < BLURRED and (in_view or not wanted):
             return False
         if (keyframe := self._keyframe(frame, self.motion.T_cam_world)) is None:
             return False

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 REFERENCE_FRAMES = 3  # the reference is the median over the first frames after the keyframe
 FEWEST_CANDIDATES = 16  # that make a keyframe
+WITNESSES = 256  # points that a pose is verified with
 SURE_BITS = -0.5  # the ratio of Eq. 20 means nothing where the reference entropy is not clearly negative
 
 
@@ -52,10 +53,6 @@ def wants_keyframe(history: list[Array], config: KeyframeConfig) -> bool:
             return bool((history[-1] - reference).max() > config.threshold_bits)
     lost = lost_certainty(torch.from_numpy(history[-1]), torch.from_numpy(reference), config.criterion)
     return bool(lost.max() > config.threshold_ratio)
-
-
-FEWEST_CANDIDATES = 16  # that make a keyframe
-WITNESSES = 256  # points that a pose is verified with
 
 
 def make_keyframe(frame: Frame, config: Config, rng: Generator, backend: Backend) -> Keyframe:

@@ -16,7 +16,6 @@ from .backends import Backend
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-KEYFRAME_GAP = 1.0 / 30.0  # s, gap of the motion prior that a new keyframe's points are chosen with
 STEPS = np.array([8, 10, 12, 12, 12, 12])  # most iterations per level, finest first
 KEYFRAME_GAP = 1.0 / 30.0  # s, gap of the motion prior that a new keyframe's points are chosen with
 CLOSE = 3  # levels that it takes from a pose nearby
