@@ -24,6 +24,7 @@ from idrgbdo_torch.tracker.candidates import (
     BORDER,
     CANNY,
     PLANE_RADIUS,
+    STRONG,
     THRESHOLD_OFFSET,
     extract_candidates,
     spread_out,
@@ -147,6 +148,23 @@ def test_one_candidate_a_cell_the_strongest_of_its_best_tier(frame: Frame) -> No
     assert len(expected) > 60
     np.testing.assert_allclose(np.column_stack([uv, inv_depth, tier]), expected, rtol=1e-12)
     assert set(tier) == {0, 1, 2}
+
+
+def test_where_there_is_enough_strong_texture_no_weak_one_is_taken(frame: Frame) -> None:
+    g2 = fused.gradient_squared(frame.images[0])
+    thresholds = fused.block_thresholds(g2, BLOCK, THRESHOLD_OFFSET)
+    few, many = (
+        extract_candidates(
+            frame,
+            replace(Config(), selection=replace(Config().selection, candidates=count)),
+            np.random.default_rng(0),
+            FUSED,
+        )
+        for count in (600, 6000)
+    )
+    for (uv, _), weak in ((few, False), (many, True)):  # 6000 are more than there are
+        u, v = uv.astype(int).T
+        assert (g2[v, u] <= STRONG**2 * thresholds[v // BLOCK, u // BLOCK]).any() == weak
 
 
 def test_where_there_is_little_texture_weak_texture_is_taken() -> None:
