@@ -251,8 +251,7 @@ def depth_rows(
     """
     camera = target.keyframe.frame.camera
     u, v = camera.fx * placed.x + camera.cx, camera.fy * placed.y + camera.cy
-    there = inverse_of_depth(target.keyframe.frame.depth)
-    measured, _, on_surface = (x.numpy() for x in sample_surface(there, torch.from_numpy(np.column_stack([u, v]))))
+    measured, on_surface = surface_at(target.keyframe.frame.depth, u, v)
     x, y, z, rho, t = placed.x, placed.y, placed.z, placed.rho, T[:3, 3]
     slope_u, slope_v = placed.slope.T
     right, down, approach = flow(camera, x, y, rho, target.velocity)
@@ -281,3 +280,14 @@ def depth_rows(
     s = np.abs(r) / np.sqrt(variance + stretch**2 * points.variance)
     used = kept & on_surface & (s < OTHER_SURFACE * noise.huber)
     return r, used * np.minimum(1.0, noise.huber / np.maximum(s, 1e-9)) / variance, Jz
+
+
+def surface_at(depth: NDArray[np.float32], u: Array, v: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Inverse depths (N,) at pixels of a depth image (H, W), and where they are valid; few of its pixels are needed."""
+    height, width = depth.shape
+    left = np.clip(np.floor(u), 0, width - 2).astype(np.int64)
+    top = np.clip(np.floor(v), 0, height - 2).astype(np.int64)
+    cells = depth[top[:, None, None] + [[0], [1]], left[:, None, None] + [[0, 1]]]
+    uv = torch.from_numpy(np.column_stack([u - left, v - top]))
+    value, _, valid = sample_surface(inverse_of_depth(cells), uv)
+    return value.numpy(), valid.numpy()
