@@ -37,6 +37,7 @@ from ..tracker.camera_equations import Moving
 from ..tracker.camera_estimate import CameraEstimator, Waiting
 from ..tracker.carried import Carried
 from ..tracker.features import Features
+from ..tracker.glances import Glance, Glances
 from ..tracker.history import History
 from ..tracker.id_rgbdo import IdRgbdo
 from ..tracker.mapping import Cloud, Kept
@@ -53,7 +54,7 @@ from .source import Source, difference
 from .tree import Codec
 
 NAME = "checkpoint.bin"
-MAGIC = b"idrgbdo checkpoint 5\n"  # the number is the format's
+MAGIC = b"idrgbdo checkpoint 6\n"  # the number is the format's
 SHARE = 30.0  # times what writing one takes, between two
 LEAST_S = 1.0  # between two
 DIGEST_BYTES = 32
@@ -63,7 +64,7 @@ TYPES = (  # what a state may be made of; a new type in the tracker's state has 
     Pinhole, LinearPrior, RgbdFrame, Frame, Keyframe, Noise, Points, WindowPoints,
     WindowPairs, WindowSystem, Solved, Features, Place, Places, Departure, Motion, Carried, Reference, History,
     Members, Status, TrackResult, Record, Records, Column, Departures, ConstantVelocity, IdRgbdo, Cloud, Kept,
-    Tracked, Window, Seen, CameraEstimator, Waiting, Moving,
+    Tracked, Window, Seen, CameraEstimator, Waiting, Moving, Glance, Glances,
 )  # fmt: skip
 CONSTANTS = {f"backend {name}": backend for name, backend in BACKENDS.items()}
 

@@ -17,7 +17,7 @@ from ..frame import Frame, Keyframe
 from ..measurement import IN_FRONT, LEVELS, Noise, State, Subset
 from .alignment import FREE
 from .backends import Backend
-from .intruder import only
+from .intruder import only, textured
 from .tracking import Pair, track_frame
 from .verification import LIMITS, Verdict, verify
 
@@ -26,7 +26,6 @@ Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 WIDTH = 160  # px, about which images are compared
-SLOPE = 3.0  # gray levels/px there, from which on a pixel is texture: what has none never changes
 CHANGED = 6.0  # gray levels of a pixel that shows something else
 OTHER_DEPTH = 0.02  # 1/m, likewise
 AROUND = 9  # px of a neighbourhood there
@@ -146,13 +145,6 @@ def without(keyframe: Keyframe, mask: Mask) -> Keyframe:
 def level_of(frame: Frame) -> int:
     """The level of a pyramid that is about WIDTH wide."""
     return min(max(round(log2(frame.images[0].shape[1] / WIDTH)), 0), LEVELS - 1)
-
-
-def textured(image: Image) -> Mask:
-    """(h, w) where an image has slopes."""
-    slopes = [np.abs(cv2.Sobel(image, cv2.CV_32F, dx, 1 - dx, scale=0.125)) for dx in (1, 0)]
-    out: Mask = np.maximum(*slopes) > SLOPE
-    return out
 
 
 def depth_on(depth: Image, image: Image | Mask, level: int) -> Image:

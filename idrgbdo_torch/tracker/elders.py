@@ -6,9 +6,11 @@ aligned to it. Keyframes from before it came know nothing of it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..frame import Frame
 from ..kernels.se3 import inverse
@@ -19,6 +21,8 @@ from .doubt import BLURRED, sharpness
 from .members import Members
 from .tracking import Pair, Tracked, track_frame
 from .verification import LIMITS, Verdict, verify
+
+Array = NDArray[np.float64]
 
 ALIKE = 0.9  # share of the points that agree or are hidden in brightness and in depth; fewer are looked into
 IN_VIEW = 0.4  # share of an older keyframe's points that the frame must see
@@ -42,19 +46,14 @@ def held_against(
         return tracked, verdict
     if sharpness(Pair(frame, members.keyframes[-1], noise, backend), tracked.T_frame_kf) < BLURRED:
         return tracked, verdict  # it looks otherwise to any of them
-    (a_newest, b_newest), gain = members.affine[-1], np.exp(tracked.affine[0])
-    a, b = tracked.affine[0] + a_newest, gain * b_newest + tracked.affine[1]
-    for keyframe, T_kf_world, (a_kf, b_kf) in zip(members.keyframes[:-1], members.T, members.affine, strict=False):
-        T_newest_kf = members.T[-1] @ inverse(T_kf_world)
-        pair = Pair(frame, keyframe, noise, backend)
-        state = State(tracked.T_frame_kf @ T_newest_kf, np.array([a - a_kf, b - np.exp(a - a_kf) * b_kf]))
+    for pair, state, T_newest_kf in others(frame, members, noise, backend, tracked):
         said = verify(pair, replace(tracked, T_frame_kf=state.T, affine=state.affine))
         if said.visible < IN_VIEW:
             continue
         if not said.doubt(LIMITS.sure):
             return tracked, said if said.score > verdict.score else verdict
-        subset = Subset(keyframe.coarse, keyframe.points.patch.shape[2])
-        again = track_frame(pair, state, keyframe.coarse, subset, FREE, LEVELS)
+        subset = Subset(pair.keyframe.coarse, pair.keyframe.points.patch.shape[2])
+        again = track_frame(pair, state, pair.keyframe.coarse, subset, FREE, LEVELS)
         better = verify(pair, again)
         if better.doubt(LIMITS.sure) or better.score < said.score + CLEARLY:
             continue
@@ -62,3 +61,24 @@ def held_against(
             T_frame_newest = again.T_frame_kf @ inverse(T_newest_kf)
             return replace(tracked, T_frame_kf=T_frame_newest, information=again.information), better
     return tracked, verdict
+
+
+def confirmed(frame: Frame, members: Members, noise: Noise, backend: Backend, tracked: Tracked) -> bool:
+    """Whether an older keyframe of the window is sure of a frame's pose, by as many points as it takes."""
+    for pair, state, _ in others(frame, members, noise, backend, tracked):
+        said = verify(pair, replace(tracked, T_frame_kf=state.T, affine=state.affine))
+        if said.visible >= IN_VIEW and said.points >= LIMITS.left and not said.doubt(LIMITS.sure):
+            return True
+    return False
+
+
+def others(
+    frame: Frame, members: Members, noise: Noise, backend: Backend, tracked: Tracked
+) -> Iterator[tuple[Pair, State, Array]]:
+    """The frame against each older keyframe, where its pose against the newest one puts it, and T_newest_kf (4, 4)."""
+    (a_newest, b_newest), gain = members.affine[-1], np.exp(tracked.affine[0])
+    a, b = tracked.affine[0] + a_newest, gain * b_newest + tracked.affine[1]
+    for keyframe, T_kf_world, (a_kf, b_kf) in zip(members.keyframes[:-1], members.T, members.affine, strict=False):
+        T_newest_kf = members.T[-1] @ inverse(T_kf_world)
+        state = State(tracked.T_frame_kf @ T_newest_kf, np.array([a - a_kf, b - np.exp(a - a_kf) * b_kf]))
+        yield Pair(frame, keyframe, noise, backend), state, T_newest_kf

@@ -19,10 +19,11 @@ from .alignment import align, displacement
 from .backends import backend_named
 from .between import LATE_COLOR, track_between
 from .doubt import BLURRED, KEPT_IN_VIEW, sharpness, sharpness_since
-from .elders import held_against
+from .elders import confirmed, held_against
+from .glances import Glance
 from .history import History
 from .instant import steady, takes_time
-from .intruder import without_intruder
+from .intruder import outlined, without_intruder
 from .keyframe import FEWEST_CANDIDATES, make_keyframe, wants_keyframe
 from .loss import Losing
 from .mapping import NOTHING, keyframe_cloud
@@ -31,12 +32,15 @@ from .reference import Reference
 from .results import after, measured
 from .selection import select_points, view_margin
 from .tracking import KEYFRAME_GAP, Pair, Tracked, motion_information
-from .verification import LIMITS, Verdict, doubtful
+from .verification import LIMITS, Verdict, doubtful, unusable
 from .warmup import warm_up
 from .window import Window
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+
+ASTRAY = "a pose beside something in front was doubtful, and no older keyframe confirms those since"
 
 
 class IdRgbdo(Losing):
@@ -81,16 +85,22 @@ class IdRgbdo(Losing):
         if takes_time(rgbd.camera) and not verdict.doubt(LIMITS.lost):
             frame, tracked, verdict = self._steadied(rgbd, tracked, self.reference)
         tracked, verdict = self._beside(frame, tracked, verdict)
-        if verdict.doubt(LIMITS.weak) and self._late_keyframe(frame, verdict):
+        if unusable(verdict, self.reference.keyframe.intruded, LIMITS.weak) and self._late_keyframe(frame, verdict):
             tracked, verdict = self._align(frame, self.reference)
         reference, motion, dt = self.reference, self.motion, self.motion.gap(frame.timestamp)
-        if reason := verdict.doubt(LIMITS.sure if self.lost_in_a_row else LIMITS.lost):
+        strict = LIMITS.sure if self.lost_in_a_row else LIMITS.lost
+        if reason := unusable(verdict, reference.keyframe.intruded, strict):
             return self._found_again(frame) or self._lost(frame, reason)
         if (settled := self._settled(frame, tracked, reference)) is not None:
             return settled
         entropies = self.backend.freedom_entropies(tracked.information)
-        reason = doubtful(verdict, reference.keyframe.intruded, entropies) or after(self.lost_in_a_row)
-        reason = reason or motion.doubt or self.history.doubt_reason
+        asked = motion.obstructed or motion.astray
+        if asked and confirmed(frame, self.window.members, self.noise, self.backend, tracked):
+            motion.obstructed = motion.astray = False
+        reason = doubtful(verdict, reference.keyframe.intruded, motion.obstructed, entropies) or after(
+            self.lost_in_a_row
+        )
+        reason = reason or motion.doubt or (ASTRAY if motion.astray else "") or self.history.doubt_reason
         reference.entropies.append(entropies)
         reference.affine = tracked.affine
         motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame, 0.0 if self.lost_in_a_row else dt)
@@ -99,7 +109,9 @@ class IdRgbdo(Losing):
         self.history.add_frame(frame.timestamp, tracked.T_frame_kf)
         time, segment = self.history.keyframe_times[-1], self.history.segment
         result = measured(motion.T_cam_world, tracked, time, reason, segment, entropies)
-        if self._new_keyframe(frame, tracked, verdict, reference):
+        known = self._new_keyframe(frame, tracked, verdict, reference)
+        self._glance(frame)
+        if known:
             result = replace(result, keyframe=True, T_world_cam=torch.from_numpy(inverse(motion.T_cam_world)))
             return self._joined(frame, result) if self.history.segment > 0 else result
         return result
@@ -204,7 +216,8 @@ class IdRgbdo(Losing):
         """
         blurred = reference.keyframe.sharp < BLURRED
         wanted = wants_keyframe(reference.entropies, self.config.keyframe) or self.history.settles
-        if not (blurred or wanted):
+        astray = self.motion.contested and verdict.doubt(LIMITS.weak)  # by what is in front, maybe
+        if astray or not (blurred or wanted):
             return False
         before = self.window.members.keyframes[-1].frame if self.window.members else frame
         sharp = sharpness_since(self._pair(frame, reference), tracked.T_frame_kf, before)
@@ -222,11 +235,18 @@ class IdRgbdo(Losing):
         self._adopt(keyframe, self.history.T_cam_kf[-1])
         return True
 
+    def _glance(self, frame: Frame) -> None:
+        """Keep what the frame just tracked sees, now and then; without what has come in, where it can tell."""
+        motion = self.motion
+        if motion.glances.is_due():
+            foreign = outlined(frame, self._sights(motion.T_cam_world)) if motion.contested else None
+            motion.glances.add(Glance.of(frame, motion.T_cam_world, foreign))
+
     def _keyframe(self, frame: Frame, T_frame_world: Array | None = None) -> Keyframe | None:
         """A keyframe of a frame at a pose, None where it has too few candidates."""
         keyframe: Keyframe | None = self.motion.cleared(make_keyframe(frame, self.config, self.rng, self.backend))
         if keyframe and T_frame_world is not None and self.motion.knows_what_intrudes:
-            keyframe = without_intruder(keyframe, self.window_keyframes(), T_frame_world)
+            keyframe = without_intruder(keyframe, self._sights(T_frame_world))
         return keyframe if keyframe and len(keyframe.points.uv) >= FEWEST_CANDIDATES else None
 
     def _adopt(self, keyframe: Keyframe, T_kf_previous: Array | None = None) -> Reference:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,42 +13,38 @@ from numpy.typing import NDArray
 from ..frame import Frame, Keyframe
 from ..kernels.se3 import inverse
 from ..measurement import IN_FRONT, Points
+from .glances import FEWEST_KNOWN, STEP, Sight, fallen, moved, sight
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Window = dict[int, tuple[Keyframe, Array]]  # keyframes by number, with T_kf_world (4, 4)
 
-AROUND = ((0, 0), (-4, 0), (4, 0), (0, -4), (0, 4))  # px, where the depth about a point must all say the same
+AROUND = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))  # in a sight's reach, where the depth must all say the same
 MOST_AROUND = 3  # of these, of which none may say the contrary
 OF_IT = 0.1  # share of a surface that intrudes, from which on all of it does, as far as it is not known to stand
+MOST_OF_IT = 0.8  # share of what is known of one, from which on what was seen of it before is no part of the world
+SLOPE = 3.0  # gray levels/px, from which on a pixel is texture: what has none never changes
+FEW = 8  # points that may look otherwise by chance
+SUSPECT = 0.25  # share of a surface that came into view and looks otherwise, from which on it is a stranger,
+LOOKED_INTO = 0.1  # and share of all points that did, from which on that is looked into
 INTRUDERS = 0.03  # share of a keyframe's points that stand where was nothing, from which on they are left out
 LEFT = 0.2  # share of its points that must be left
-STEP = 4  # px between the pixels that are looked at to outline an intruder
 MARGIN = 12  # px by which its outline is widened
 FAR_M = 1e3  # m, farther than anything
 BLOCKED = 0.15  # share of the image that an intruder fills, from which on nothing new begins on it
 
 
-def some_views(window: Window, T_frame_world: Array) -> list[tuple[Array, Frame]]:
-    """The newest, a middle and the oldest keyframe of a window, with T_kf_frame (4, 4) of a frame."""
+def some_views(window: Window, T_frame_world: Array) -> list[Sight]:
+    """What the newest, a middle and the oldest keyframe of a window saw, from a frame at this pose (4, 4)."""
     known, T_world_frame = list(window.values()), inverse(T_frame_world)
     some = [known[k] for k in sorted({len(known) - 1, len(known) // 2, 0})]
-    return [(T @ T_world_frame, keyframe.frame) for keyframe, T in some]
+    return [sight(keyframe.frame, T @ T_world_frame) for keyframe, T in some]
 
 
 def placed(uv: Array, inv_depth: Array, T_frame_kf: Array, frame: Frame) -> tuple[Mask, Index, Index, Array]:
     """Where points of a keyframe, (N, 2) px and (N,) 1/m, fall in a frame: whether inside, column, row, depth (m)."""
-    fx, fy, cx, cy = frame.intrinsics[0]
-    z = 1.0 / np.maximum(inv_depth, 1e-9)
-    P = np.column_stack([(uv[:, 0] - cx) / fx * z, (uv[:, 1] - cy) / fy * z, z])
-    P = P @ T_frame_kf[:3, :3].T + T_frame_kf[:3, 3]
-    ahead = (inv_depth > 0.0) & (P[:, 2] > 1e-3)
-    z = np.where(ahead, P[:, 2], 1.0)
-    u, v = np.rint(fx * P[:, 0] / z + cx), np.rint(fy * P[:, 1] / z + cy)
-    height, width = frame.depth.shape
-    ahead &= (u >= 0) & (v >= 0) & (u < width) & (v < height)
-    return ahead, np.where(ahead, u, 0).astype(np.int64), np.where(ahead, v, 0).astype(np.int64), z
+    return fallen(uv, inv_depth, frame.intrinsics[0], sight(frame, T_frame_kf))
 
 
 def hidden(points: Points, T_frame_kf: Array, frame: Frame) -> Mask:
@@ -58,15 +55,15 @@ def hidden(points: Points, T_frame_kf: Array, frame: Frame) -> Mask:
     return out
 
 
-def intruding(uv: Array, inv_depth: Array, T_before_kf: Array, before: Frame) -> tuple[Mask, Mask]:
-    """Of points of a new keyframe, (N,) each: those that stand where the one before, at this pose (4, 4), saw through
-    or saw an intruder itself, all around; and those that it saw too.
+def intruding(uv: Array, inv_depth: Array, intrinsics: Array, before: Sight) -> tuple[Mask, Mask]:
+    """Of points of a new keyframe, (N,) each: those that stand where an earlier sight went through or met an intruder
+    itself, all around; and those that it saw too. intrinsics: (4,) of the keyframe.
     """
-    inside, u, v, z = placed(uv, inv_depth, T_before_kf, before)
+    inside, u, v, z = fallen(uv, inv_depth, intrinsics, before)
     height, width = before.depth.shape
     foreign, contrary = np.zeros(len(z), np.int64), ~inside
     for du, dv in AROUND:
-        there = before.depth[(v + dv).clip(0, height - 1), (u + du).clip(0, width - 1)]
+        there = before.depth[(v + before.reach * dv).clip(0, height - 1), (u + before.reach * du).clip(0, width - 1)]
         not_it = (there > z * (1.0 + IN_FRONT)) | ((there < 0.0) & (z < -there * (1.0 + IN_FRONT)))
         foreign += not_it
         contrary |= (there > 0.0) & ~not_it
@@ -74,18 +71,17 @@ def intruding(uv: Array, inv_depth: Array, T_before_kf: Array, before: Frame) ->
     return (foreign >= MOST_AROUND) & ~contrary, same
 
 
-def without_intruder(keyframe: Keyframe, window: Window, T_kf_world: Array) -> Keyframe | None:
-    """A new keyframe without the points that stand where keyframes of a window saw nothing.
+def without_intruder(keyframe: Keyframe, others: Sequence[Sight]) -> Keyframe | None:
+    """A new keyframe without the points that stand where others saw nothing.
 
     They belong to something that moved there, which must not be taken for the world. Its depth becomes negative, so
     that no one measures it, and the next keyframe knows it again. The same keyframe where such points are too few to
     be more than borders and noise, None where they leave too little of it.
     """
     points, frame = keyframe.points, keyframe.frame
-    others = some_views(window, T_kf_world)
-    foreign, _ = by_any(points.uv, points.inv_depth, others)
-    if foreign.sum() <= INTRUDERS * len(foreign):  # nor where there are no points at all
-        return keyframe
+    foreign, _ = by_any(points.uv, points.inv_depth, frame.intrinsics[0], others)
+    if foreign.sum() <= INTRUDERS * len(foreign) and not has_newcomers(keyframe, others):
+        return keyframe  # also where there are no points at all
     outline = outlined(frame, others)
     about = cv2.dilate(outline, np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)) > 0
     u, v = points.uv.astype(np.int64).T
@@ -97,42 +93,99 @@ def without_intruder(keyframe: Keyframe, window: Window, T_kf_world: Array) -> K
     return replace(stays, frame=replace(frame, depth=depth), intruded=True)
 
 
-def by_any(uv: Array, inv_depth: Array, others: Sequence[tuple[Array, Frame]]) -> tuple[Mask, Mask]:
+def has_newcomers(keyframe: Keyframe, others: Sequence[Sight]) -> bool:
+    """Whether many points that no earlier keyframe knows were not where they are in the last frames."""
+    points, frame = keyframe.points, keyframe.frame
+    known = known_before(points.uv, points.inv_depth, frame, others)
+    if (~known).sum() <= FEW:
+        return False
+    unlike, judged = moved(points.uv, points.inv_depth, frame, others, known)
+    new = judged & ~known
+    share = LOOKED_INTO + at_any_rate(unlike, judged & known)
+    return bool((unlike & new).sum() > max(FEW, share * new.sum()))
+
+
+def at_any_rate(unlike: Mask, judged: Mask) -> float:
+    """Up to which share points may look otherwise that did not move: twice that of those that surely did not.
+
+    Where the camera is not as its file says, or the pose is off, or all is blurred, the world looks otherwise too.
+    """
+    return 2.0 * float(unlike[judged].mean()) if judged.any() else 1.0
+
+
+def known_before(uv: Array, inv_depth: Array, frame: Frame, others: Sequence[Sight]) -> Mask:
+    """(N,): points of a frame that earlier keyframes saw too."""
+    out = np.zeros(len(uv), np.bool_)
+    for other in others:
+        if other.gray is None:
+            out |= intruding(uv, inv_depth, frame.intrinsics[0], other)[1]
+    return out
+
+
+def by_any(uv: Array, inv_depth: Array, intrinsics: Array, others: Sequence[Sight]) -> tuple[Mask, Mask]:
     """intruding() by any of several, and seen by any of them where none says intruding."""
     foreign, seen = np.zeros(len(uv), np.bool_), np.zeros(len(uv), np.bool_)
-    for T, other in others:
-        intrudes, same = intruding(uv, inv_depth, T, other)
+    for other in others:
+        intrudes, same = intruding(uv, inv_depth, intrinsics, other)
         foreign |= intrudes
         seen |= same
     return foreign, seen & ~foreign
 
 
-def blocked(frame: Frame, window: Window, T_frame_world: Array) -> bool:
-    """Whether something that a window's keyframes did not see there fills much of a frame's view."""
-    return bool(outlined(frame, some_views(window, T_frame_world)).mean() > BLOCKED)
+def blocked(frame: Frame, others: Sequence[Sight]) -> bool:
+    """Whether something that others did not see there fills much of a frame's view."""
+    return bool(outlined(frame, others).mean() > BLOCKED)
 
 
-def outlined(frame: Frame, others: Sequence[tuple[Array, Frame]]) -> NDArray[np.uint8]:
-    """(H, W), 1 where a frame sees what others, each at T_other_frame (4, 4), did not see there; and the rest of that
-    surface, as far as they do not know it.
+def outlined(frame: Frame, others: Sequence[Sight]) -> NDArray[np.uint8]:
+    """(H, W), 1 where a frame sees what others did not see there; and the rest of that surface: as far as they do not
+    know it, or all where most of what is known of it was not there. And surfaces that came into view and moved since.
     """
     height, width = frame.depth.shape
     v, u = (x.ravel() for x in np.mgrid[0:height:STEP, 0:width:STEP])
-    z = frame.depth[v, u].astype(np.float64)
-    inv_depth = np.divide(1.0, z, out=np.zeros_like(z), where=z > 0.0)
-    foreign, seen = by_any(np.column_stack([u, v]).astype(np.float64), inv_depth, others)
     size = -(-height // STEP), -(-width // STEP)
-    depth = z.reshape(size)
+    z, uv = frame.depth[v, u].astype(np.float64), np.column_stack([u, v]).astype(np.float64)
+    inv_depth = np.divide(1.0, z, out=np.zeros_like(z), where=z > 0.0)
+    foreign, seen = by_any(uv, inv_depth, frame.intrinsics[0], others)
+    there, seen = smooth(z.reshape(size)), seen.reshape(size)
+    opened = cv2.morphologyEx(foreign.reshape(size).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    core = opened > 0
+    whole = core | surfaces((there & ~seen) | core, core, np.ones(size), OF_IT)
+    whole |= surfaces(there | core, core, seen | core, MOST_OF_IT)
+    known = known_before(uv, inv_depth, frame, others)
+    unlike, judged = moved(uv, inv_depth, frame, others, known)
+    share = SUSPECT + at_any_rate(unlike, judged & known)
+    judged &= ~known & textured(frame.images[1])[(v // 2).clip(0, height // 2 - 1), (u // 2).clip(0, width // 2 - 1)]
+    whole |= surfaces(there & ~known.reshape(size), unlike & judged, judged, share, FEWEST_KNOWN)
+    out: NDArray[np.uint8] = cv2.resize(whole.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
+    return out
+
+
+def smooth(depth: Array) -> Mask:
+    """Where a depth image (h, w), m, 0 unknown, has no step to a neighbour."""
     farthest = cv2.dilate(depth, np.ones((3, 3), np.uint8))
     nearest = cv2.erode(np.where(depth > 0.0, depth, FAR_M), np.ones((3, 3), np.uint8))
-    coarse = cv2.morphologyEx(foreign.reshape(size).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    smooth = farthest < (1.0 + IN_FRONT / 2.0) * nearest
-    unknown = (depth > 0.0) & ~seen.reshape(size) & smooth
-    count, surface = cv2.connectedComponents((unknown | (coarse > 0)).astype(np.uint8), connectivity=4)
-    of_it = np.bincount(surface.ravel(), coarse.ravel(), count) >= OF_IT * np.bincount(surface.ravel(), None, count)
-    of_it[0] = False
-    whole = (of_it[surface] | (coarse > 0)).astype(np.uint8)
-    out: NDArray[np.uint8] = cv2.resize(whole, (width, height), interpolation=cv2.INTER_NEAREST)
+    out: Mask = (depth > 0.0) & (farthest < (1.0 + IN_FRONT / 2.0) * nearest)
+    return out
+
+
+def surfaces(part: Mask, its: NDArray[Any], of_all: NDArray[Any], share: float, least: int = 1) -> Mask:
+    """The connected surfaces of cells (h, w) of which so large a share is something.
+
+    its, of_all: (h, w) or (h * w,), what is something, and of what; surfaces with less than `least` of that stay out.
+    """
+    count, surface = cv2.connectedComponents(part.astype(np.uint8), connectivity=4)
+    some, whole = (np.bincount(surface.ravel(), weights.ravel(), count) for weights in (its, of_all))
+    chosen = (some > 0) & (some >= share * whole) & (whole >= least)
+    chosen[0] = False
+    out: Mask = chosen[surface]
+    return out
+
+
+def textured(image: NDArray[np.float32]) -> Mask:
+    """(h, w) where an image has slopes."""
+    slopes = [np.abs(cv2.Sobel(image, cv2.CV_32F, dx, 1 - dx, scale=0.125)) for dx in (1, 0)]
+    out: Mask = np.maximum(*slopes) > SLOPE
     return out
 
 

@@ -12,8 +12,9 @@ from ..frame import Frame, Keyframe
 from ..kernels.se3 import inverse
 from ..odometry import Status, TrackResult
 from .doubt import BLURRED, EVERY, sharpness_since
+from .glances import Sight
 from .inspection import Shown
-from .intruder import blocked
+from .intruder import blocked, some_views
 from .joining import join
 from .motion import PATIENCE, Motion
 from .recovery import Found, find_in_places, find_in_window, find_near
@@ -59,12 +60,17 @@ class Losing(Shown):
         reason = "" if first else "a new segment starts here, at the last known pose"
         return replace(self._held(frame, Status.OK if first else Status.LOST, reason), keyframe=True)
 
+    def _sights(self, T_frame_world: Array) -> list[Sight]:
+        """What keyframes of the window and the last frames saw, from a frame at this pose (4, 4)."""
+        return some_views(self.window_keyframes(), T_frame_world) + self.motion.glances.sights(T_frame_world)
+
     def _leave_window(self) -> None:
         """What comes next is not tied to the keyframes so far."""
         self.history.doubted = None
         self.history.leave_all(self.window.members.keyframes)
         self.window = Window(self.config, self.noise, self.backend)
         self.motion.forget_place()
+        self.motion.glances.forget()
         self.reference = None
 
     def _found_again(self, frame: Frame) -> TrackResult | None:
@@ -137,7 +143,7 @@ class Losing(Shown):
         """Stay where we were and say so; after too many such frames begin anew, with this one."""
         if self.lost_in_a_row < PATIENCE:
             return self._hold(frame, reason)
-        if self.motion.waits(frame.timestamp) and blocked(frame, self.window_keyframes(), self.motion.T_cam_world):
+        if self.motion.waits(frame.timestamp) and blocked(frame, self._sights(self.motion.T_cam_world)):
             return self._hold(frame, "something blocks the view")
         return self._start_segment(frame, reason)
 

@@ -12,8 +12,9 @@ from ..frame import Frame, Keyframe, RgbdFrame
 from ..kernels.se3 import inverse, log_se3, retract
 from ..measurement import RATE
 from .carried import Carried
+from .glances import Glances
 from .repeated import Seen, with_late_depth
-from .verification import LIMITS, Verdict
+from .verification import LIMITS, Verdict, obstructed
 
 Array = NDArray[np.float64]
 
@@ -23,6 +24,7 @@ BLOCKED_S = 1.0  # s that something in front of the view is waited for
 EXPLAINED = 0.95  # share of the points with depth that agree or are hidden
 VIDEO_S = 0.2  # s between frames, up to which a pose is that sure
 DECIDED = 0.1  # share of the points, summed over frames, that says whether a slow camera's colour images are late
+BLOCKED = "what blocked the view may still fill it"
 LONGEST = 3.0  # times the last gap that a velocity is followed
 
 
@@ -37,12 +39,17 @@ class Motion:
     surprise_px: float = inf  # px in the image between the last frame's guess and pose
     turn: Array = field(default_factory=lambda: np.zeros(3))  # rad/s, of the last frame
     contested: bool = False  # something was in front of the view of the last measured frame,
+    obstructed: bool = False  # and left few points,
+    astray: bool = False  # a pose beside it was doubtful, and nothing has confirmed one since
     explained: bool = False  # and nothing but that disagreed in depth, so that the pose can tell what it is
     frame: Frame | None = None  # the last one, where it was measured,
     frame_turn: Array = field(default_factory=lambda: np.zeros(3))  # and its turn
 
+    glances: Glances = field(default_factory=Glances)  # at the depth of the last ones that were measured
+
     first: RgbdFrame | None = None  # the first one as it came, until the velocity that it needs is known
     carried: Carried | None = None  # what may move with the camera since the segment began, until that is known
+    began_blocked: bool = False  # something was in front of the view before the segment, and may be still
     said: Array | None = None  # (4, 4) the last pose that was given, where it was refined since then in a loss
 
     lateness: float = 0.0  # by how much more of the points agreed with earlier depth, added up
@@ -100,7 +107,9 @@ class Motion:
     @property
     def doubt(self) -> str:
         """Why a pose is not to be believed that explains what is in view, empty where it is."""
-        return "" if self.carried is None else self.carried.doubt
+        if self.carried is None or self.carried.settled:
+            return ""
+        return self.carried.doubt or (BLOCKED if self.began_blocked else "")
 
     @staticmethod
     def at(T_cam_world: Array) -> Motion:
@@ -142,12 +151,18 @@ class Motion:
 
     def judge(self, verdict: Verdict, intruded: bool) -> None:
         """What stood in front of the last measured frame, against a keyframe that was intruded upon or not."""
+        least = LIMITS.left_again if self.obstructed else LIMITS.left
+        self.obstructed = bool(obstructed(verdict, intruded, least))
         self.contested = intruded or verdict.hidden > LIMITS.in_front
+        self.astray |= self.contested and bool(verdict.doubt(LIMITS.weak))
         self.explained = verdict.near + verdict.hidden > EXPLAINED and self.dt < VIDEO_S
 
     def waits(self, timestamp: float) -> bool:
-        """Whether what stands in front is waited for: it had entered before the loss, and not long ago."""
-        return self.contested and timestamp - self.time < BLOCKED_S
+        """Whether what stands in front is waited for: it had entered before the loss, and not long ago; what the camera
+        carries will not go.
+        """
+        stays = self.carried is not None and self.carried.thing is not None
+        return self.contested and not stays and timestamp - self.time < BLOCKED_S
 
     def correct(self, T_cam_world: Array) -> None:
         """The present pose was refined: the one before follows, so that the velocity stays."""
@@ -157,12 +172,16 @@ class Motion:
     def move_world(self, T_old_new: Array) -> None:
         """See everything from another world, which lies at this pose (4, 4) in the old one."""
         self.T_cam_world, self.T_previous = self.T_cam_world @ T_old_new, self.T_previous @ T_old_new
+        self.glances.move_world(T_old_new)
         if self.carried:
             self.carried.T_kf_world = self.carried.T_kf_world @ T_old_new
 
     def watch(self, keyframe: Keyframe, number: int) -> None:
         """A segment begins at the present pose, with this keyframe: see what in it moves with the camera."""
         self.carried = Carried.of(keyframe, self.T_cam_world, number, self.carried)
+        self.astray = False
+        known = self.carried.thing is not None or not self.carried.texture.any()
+        self.began_blocked, self.obstructed = self.contested and not known, False
 
     def forget_place(self) -> None:
         """The segment's first keyframe is not looked at any more; what moves with the camera stays known."""

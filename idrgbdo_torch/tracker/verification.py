@@ -33,7 +33,8 @@ class Limits:
     few_depths: int = 12  # fewer measured depths than this are too few to judge by
     in_front: float = 0.15  # share of hidden points under which nothing stands in front: borders and parallax
     left: int = 32  # points that are seen beside something in front, under which they are too few to be sure
-    beside: int = 24  # points with depth beside something in front that a pose can be judged by
+    left_again: int = 64  # of them, from which on they are enough again
+    beside: int = 24  # points beside something in front that a pose can be judged by at all
     points: int = 6  # a pose has six degrees of freedom
     gain: float = 1.0  # of the logarithm: with no contrast left, a black or white image would explain everything
     unsure_bits: float = -7.0  # entropy of the least certain degree of freedom: 2 mm or 2 mrad given the others
@@ -69,12 +70,12 @@ class Verdict:
         return ""
 
 
-def obstructed(verdict: Verdict, intruded: bool) -> str:
+def obstructed(verdict: Verdict, intruded: bool, least: int = LIMITS.left) -> str:
     """Why a pose is doubtful that few points speak for, since something hides the others; empty when it does not.
 
-    intruded: something did in the keyframe already.
+    intruded: something did in the keyframe already. least: points that are enough.
     """
-    few = verdict.points < LIMITS.left and (intruded or verdict.hidden > LIMITS.in_front)
+    few = verdict.points < least and (intruded or verdict.hidden > LIMITS.in_front)
     return f"something hides all but {verdict.points} of the points" if few else ""
 
 
@@ -84,9 +85,19 @@ def unsure(entropies: Array) -> str:
     return f"{freedom} is uncertain: {bits:.1f} bits" if bits > LIMITS.unsure_bits else ""
 
 
-def doubtful(verdict: Verdict, intruded: bool, entropies: Array) -> str:
-    """Why a pose is doubtful that is used, empty when it is not; intruded: the keyframe lacks what something hides."""
-    return verdict.doubt(LIMITS.weak) or obstructed(verdict, intruded) or unsure(entropies)
+def doubtful(verdict: Verdict, intruded: bool, before: bool, entropies: Array) -> str:
+    """Why a pose is doubtful that is used, empty when it is not.
+
+    intruded: as in obstructed(). before: the last pose was obstructed: one that follows from it is not sure because
+    some more points come to agree with it.
+    """
+    least = LIMITS.left_again if before else LIMITS.left
+    return verdict.doubt(LIMITS.weak) or obstructed(verdict, intruded, least) or unsure(entropies)
+
+
+def unusable(verdict: Verdict, intruded: bool, strict: float) -> str:
+    """Why a pose is not used, empty when it is."""
+    return verdict.doubt(strict) or obstructed(verdict, intruded, LIMITS.beside)
 
 
 def verify(pair: Pair, tracked: Tracked, level: int = LIMITS.level) -> Verdict:

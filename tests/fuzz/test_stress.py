@@ -18,6 +18,13 @@ def test_no_pose_that_is_off_is_called_ok(desk: Film, name: str) -> None:
     assert counted.ok >= 20, str(counted)
 
 
+def test_what_comes_in_as_fast_as_the_view_turns_is_no_part_of_the_world() -> None:
+    film = stress.rendered(0, 70)  # the thing covers the right border while that sees more and more of the desk
+    counted = stress.stressed(film, "moving 60%", 0)
+    assert not counted.off, str(counted)
+    assert counted.ok >= 45, str(counted)
+
+
 def test_what_is_off_is_counted(desk: Film) -> None:
     film = stress.Film("desk", desk.frames, desk.groundtruth.T_world_cam.numpy().copy())
     film.T_world_cam[30:, :3, 3] += 0.1
