@@ -23,7 +23,7 @@ README = ROOT / "README.md"
 PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 COMMANDS = {command.__name__.removesuffix("Command").lower() for command in get_args(cli.Command)}
-VARIABLES = {"$kind": "desk", "$SOME": "fr1_desk,fr2_desk"}
+VARIABLES = {"$kind": "desk", "$SOME": "fr1_desk,fr2_desk", "$ALL": "fr1_desk,fr2_xyz"}
 
 
 def blocks(page: Path, language: str) -> list[str]:
