@@ -68,6 +68,12 @@ def fallen(uv: Array, inv_depth: Array, intrinsics: Array, other: Sight) -> tupl
     return ahead, np.where(ahead, u, 0).astype(np.int64), np.where(ahead, v, 0).astype(np.int64), z
 
 
+def at_depth(other: Sight, u: Index, v: Index, z: Array) -> Mask:
+    """(N,): what a sight saw of the world in its pixels is as far as that, m."""
+    out: Mask = np.abs(other.depth[v, u] - z) < IN_FRONT * z
+    return out
+
+
 def moved(uv: Array, inv_depth: Array, frame: Frame, others: Sequence[Sight], known: Mask) -> tuple[Mask, Mask]:
     """Of points of a frame, (N,) each: those of another brightness where others saw that depth, and all for which that
     can be said, by the first that did. known: (N,), those that surely are of the world, which tell the exposure.

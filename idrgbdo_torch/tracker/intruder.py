@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..frame import Frame, Keyframe
 from ..kernels.se3 import inverse
 from ..measurement import IN_FRONT, Points
-from .glances import FEWEST_KNOWN, STEP, Sight, fallen, moved, sight
+from .glances import FEWEST_KNOWN, STEP, Sight, at_depth, fallen, moved, sight
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -60,15 +60,22 @@ def intruding(uv: Array, inv_depth: Array, intrinsics: Array, before: Sight) -> 
     itself, all around; and those that it saw too. intrinsics: (4,) of the keyframe.
     """
     inside, u, v, z = fallen(uv, inv_depth, intrinsics, before)
+    same = inside & at_depth(before, u, v, z)
+    there = before.depth[v, u]
+    (asked,) = np.nonzero(
+        inside & ~((there > 0.0) & (there <= z * (1.0 + IN_FRONT)))
+    )  # most are where it saw something
     height, width = before.depth.shape
-    foreign, contrary = np.zeros(len(z), np.int64), ~inside
+    u, v, z = u[asked], v[asked], z[asked]
+    against, contrary = np.zeros(len(z), np.int64), np.zeros(len(z), np.bool_)
     for du, dv in AROUND:
         there = before.depth[(v + before.reach * dv).clip(0, height - 1), (u + before.reach * du).clip(0, width - 1)]
         not_it = (there > z * (1.0 + IN_FRONT)) | ((there < 0.0) & (z < -there * (1.0 + IN_FRONT)))
-        foreign += not_it
+        against += not_it
         contrary |= (there > 0.0) & ~not_it
-    same = inside & (np.abs(before.depth[v, u] - z) < IN_FRONT * z)
-    return (foreign >= MOST_AROUND) & ~contrary, same
+    foreign = np.zeros(len(inside), np.bool_)
+    foreign[asked] = (against >= MOST_AROUND) & ~contrary
+    return foreign, same
 
 
 def without_intruder(keyframe: Keyframe, others: Sequence[Sight]) -> Keyframe | None:
@@ -118,7 +125,8 @@ def known_before(uv: Array, inv_depth: Array, frame: Frame, others: Sequence[Sig
     out = np.zeros(len(uv), np.bool_)
     for other in others:
         if other.gray is None:
-            out |= intruding(uv, inv_depth, frame.intrinsics[0], other)[1]
+            inside, u, v, z = fallen(uv, inv_depth, frame.intrinsics[0], other)
+            out |= inside & at_depth(other, u, v, z)
     return out
 
 
