@@ -18,8 +18,11 @@ LEAST_CONTRAST = 0.3  # of the host's points that the target's image must have
 LARGEST_GAIN = 1.0  # of the logarithm; both since with no contrast left, a black or a white image explains everything
 
 
-def check_gray(gray: Tensor) -> None:
-    """Raises IdRgbdoError where (..., H, W) are no gray levels 0..255, but numbers in 0..1 or 16 bits; NaN passes."""
+def check_gray(gray: Tensor) -> float:
+    """The brightest of gray levels (..., H, W); NaN passes.
+
+    Raises IdRgbdoError where they are not 0..255, but numbers in 0..1 or of 16 bits.
+    """
     low, high = extremes(gray)
     if low != low:  # what is there besides NaN
         low, high = extremes(torch.where(gray.isnan(), 0.0, gray))
@@ -28,6 +31,7 @@ def check_gray(gray: Tensor) -> None:
     # a dark image has few levels below 1, a bright one divided by 255 has many
     if low >= 0 and 0 < high <= 1 and len(set(gray.detach()[..., ::4, ::4].flatten().tolist())) > DARK_LEVELS:
         raise IdRgbdoError(f"gray: expected gray levels 0..255, got at most {high:g}; multiply the image by 255")
+    return high
 
 
 def extremes(image: Tensor) -> tuple[float, float]:
@@ -38,17 +42,17 @@ def extremes(image: Tensor) -> tuple[float, float]:
     image = image.detach()
     if image.device.type == "cpu" and image.dtype in (torch.float32, torch.float64):
         return float(image.numpy().min()), float(image.numpy().max())
-    low, high = image.aminmax()
-    return float(low), float(high)
+    low, high = torch.stack(image.aminmax()).tolist()  # a GPU is waited for once
+    return low, high
 
 
 def check_metres(depth: Tensor) -> None:
     """Raises IdRgbdoError where most of the depth (..., H, W), 0 for none, is further than any depth camera sees."""
     z = depth.detach()[..., ::4, ::4]
-    z = z[(z > 0) & z.isfinite()]
-    if len(z) and float(z.median()) > FARTHEST_M:
+    median = float(torch.where((z > 0) & z.isfinite(), z, torch.nan).nanmedian())  # NaN where there is none
+    if median > FARTHEST_M:
         raise IdRgbdoError(
-            f"depth: expected metres, got a median of {float(z.median()):.4g}; divide by 1000 if these are millimetres"
+            f"depth: expected metres, got a median of {median:.4g}; divide by 1000 if these are millimetres"
         )
 
 
@@ -74,8 +78,7 @@ def checked_targets(
 
 def check_points(points: HostPoints, gray: Tensor, depth: Tensor | None) -> None:
     """Raises IdRgbdoError where points or images (B, H, W) are in other units than gray levels 0..255 and metres."""
-    check_gray(gray)
-    check_levels(points, float(gray.detach().amax()))
+    check_levels(points, check_gray(gray))
     if depth is not None:
         check_metres(depth)
 

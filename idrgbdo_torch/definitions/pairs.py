@@ -92,18 +92,27 @@ def align_pairs(
 def aligned_by_definition(task: PairsTask, gradient_steps: int) -> AlignedPairs:
     """The search and its conclusion. On a GPU nothing in it waits for a result."""
     images = tracking_pyramid(task.gray, len(task.steps))
-    there = inverse_of(task.depth)
-    problems = [
-        Problem(task.points, Target(level, images[level], task.camera, there), steps)
-        for level, steps in enumerate(task.steps)
-    ]
+    problems = problems_of(task, images, inverse_of(task.depth))
     with torch.no_grad():
         found = descend(problems, task.prior, task.noise)
     T, a, system = concluded(task.points, problems[0].target, task.noise, found, gradient_steps)
+    return result_of(task, found, T, a, system)
+
+
+def problems_of(task: PairsTask, images: Sequence[Tensor], inverse_depth: Tensor | None) -> list[Problem]:
+    """One a level, finest first, from a pyramid and the inverse of the task's depth."""
+    return [
+        Problem(task.points, Target(level, images[level], task.camera, inverse_depth), steps)
+        for level, steps in enumerate(task.steps)
+    ]
+
+
+def result_of(task: PairsTask, found: Estimate, T: Tensor, affine: Tensor, system: NormalEquations) -> AlignedPairs:
+    """What align_pairs says of poses (B, 4, 4), brightness (B, 2) and the measurements' system there."""
     certain = pose_information(system.H, found.prior.affine_information)
     contrast = task.gray.flatten(1).std(-1)
-    ok = usable(T, certain, system.kept) & believable(task.points, contrast, system.rms, a)
-    return AlignedPairs(T, a, certain, system.rms, system.kept, found.iterations, ok)
+    ok = usable(T, certain, system.kept) & believable(task.points, contrast, system.rms, affine)
+    return AlignedPairs(T, affine, certain, system.rms, system.kept, found.iterations, ok)
 
 
 def usable(T: Tensor, information: Tensor, kept: Tensor) -> Tensor:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import exp, sqrt
 
 import torch
 from torch import Tensor
-from torch.nn.functional import conv2d, max_pool2d, pad
+from torch.nn.functional import max_pool2d, pad
 
 from ..config import NoiseConfig, TrackingConfig
 from ..errors import IdRgbdoError, door
@@ -123,11 +123,21 @@ def at_level(uv: Tensor, level: int) -> Tensor:
 
 
 def _blurred(image: Tensor) -> Tensor:
-    """A 5x5 Gaussian of COARSE_BLUR px, reflected at the border; image (B, H, W)."""
-    at = torch.arange(-2, 3, dtype=image.dtype, device=image.device)
-    kernel = torch.exp(-0.5 * (at / COARSE_BLUR) ** 2)
-    kernel = kernel / kernel.sum()
-    padded = pad(image[:, None], (2, 2, 2, 2), mode="reflect")
-    rows = conv2d(padded, kernel[None, None, None, :])
-    blurred: Tensor = conv2d(rows, kernel[None, None, :, None])[:, 0]
-    return blurred
+    """A 5x5 Gaussian of COARSE_BLUR px, reflected at the border; image (B, H, W).
+
+    As sums of shifted images: a GPU's convolutions round to ten bits.
+    """
+    at = [exp(-0.5 * (k / COARSE_BLUR) ** 2) for k in range(-2, 3)]
+    weights = [x / sum(at) for x in at]
+    padded = pad(image[:, None], (2, 2, 2, 2), mode="reflect")[:, 0]
+    rows = shifted_sum(padded, weights, -1)
+    return shifted_sum(rows, weights, -2)
+
+
+def shifted_sum(image: Tensor, weights: Sequence[float], dim: int) -> Tensor:
+    """Sum over k of weights[k] times the image shifted by k along a dimension, which shrinks by what is left over."""
+    size = image.shape[dim] - len(weights) + 1
+    total = weights[0] * image.narrow(dim, 0, size)
+    for k in range(1, len(weights)):
+        total = total.add(image.narrow(dim, k, size), alpha=weights[k])
+    return total

@@ -53,7 +53,18 @@ def solve(H: Tensor, b: Tensor, damping: float | Tensor = 0.0) -> Solution:
     """
     H, b = H.double(), b.double()
     finite = torch.isfinite(H).all(-1).all(-1) & torch.isfinite(b).all(-1)
-    H = torch.where(finite[..., None, None], H, 0.0)
+    factor, scale, regular = _factored(torch.where(finite[..., None, None], H, 0.0), damping)
+    ok = finite & regular
+    rhs = torch.where(ok[..., None], scale * b, 0.0)
+    y = scale * torch.cholesky_solve(rhs[..., None], factor)[..., 0]
+    return Solution(y, ok, finite)
+
+
+def _factored(H: Tensor, damping: float | Tensor = 0.0) -> tuple[Tensor, Tensor, Tensor]:
+    """The Cholesky factor of H (..., m, m) in units (..., m) that make its diagonal 1, and whether it has one (...).
+
+    The identity where it has not.
+    """
     diagonal = H.diagonal(dim1=-2, dim2=-1)
     observed = (diagonal > 0).all(-1)
     scale = torch.where(diagonal > 0, diagonal, 1.0).rsqrt()  # units drop out: metres and radians, any magnitude
@@ -63,11 +74,7 @@ def solve(H: Tensor, b: Tensor, damping: float | Tensor = 0.0) -> Solution:
     factor, failed = torch.linalg.cholesky_ex(unit + extra * eye)
     pivots = factor.diagonal(dim1=-2, dim2=-1).square().amin(-1)
     regular = observed & (failed == 0) & (pivots > MIN_PIVOT)
-    ok = finite & regular
-    factor = torch.where(ok[..., None, None], factor, eye)
-    rhs = torch.where(ok[..., None], scale * b, 0.0)
-    y = scale * torch.cholesky_solve(rhs[..., None], factor)[..., 0]
-    return Solution(y, ok, finite)
+    return torch.where(regular[..., None, None], factor, eye), scale, regular
 
 
 def nothing_left(active: Tensor) -> bool:
@@ -98,15 +105,19 @@ def robust_cost(r: Tensor, threshold: float | Tensor, limit: float | Tensor = fl
 def pose_information(H: Tensor, affine_information: Tensor) -> Tensor:
     """(B, 6, 6): brightness, with its prior (B, 2, 2), marginalised from the measurements' H (B, 8, 8)."""
     brightness = H[:, 6:, 6:] + affine_information
-    out: Tensor = H[:, :6, :6] - H[:, :6, 6:] @ torch.linalg.solve(brightness, H[:, 6:, :6])
+    across, _ = torch.linalg.solve_ex(brightness, H[:, 6:, :6])  # does not wait for a GPU to say whether it could
+    out: Tensor = H[:, :6, :6] - H[:, :6, 6:] @ across
     return 0.5 * (out + out.mT)
 
 
 def brightness_information(H: Tensor, least: Tensor) -> Tensor:
     """(B, 2, 2) of the brightness, the pose marginalised from H (B, 8, 8); `least` (B, 2, 2) where that fails."""
-    columns = [solve(H[:, :6, :6], H[:, :6, 6 + k]) for k in range(2)]
-    x = torch.stack([column.y for column in columns], dim=-1)  # (B, 6, 2)
-    out = H[:, 6:, 6:] - H[:, 6:, :6] @ x
+    finite = torch.isfinite(H).all(-1).all(-1)
+    H = torch.where(finite[:, None, None], H, 0.0)
+    factor, scale, regular = _factored(H[:, :6, :6])
+    across = H[:, :6, 6:]
+    x = scale[..., None] * torch.cholesky_solve(scale[..., None] * across, factor)  # (B, 6, 2)
+    out = H[:, 6:, 6:] - across.mT @ x
     out = 0.5 * (out + out.mT)
-    positive = (out[:, 0, 0] > 0) & (torch.linalg.det(out) > 0) & columns[0].ok & columns[1].ok
+    positive = (out[:, 0, 0] > 0) & (out[:, 0, 0] * out[:, 1, 1] > out[:, 0, 1] ** 2) & finite & regular
     return torch.where(positive[:, None, None], out, least)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -89,38 +89,8 @@ def prior_at(T_target_host: Tensor, information: Tensor | None = None, affine: T
     return Prior(T, known.double().expand(B, 6, 6), brightness.double(), spread)
 
 
-def descend(problems: Sequence[Problem], prior: Prior, noise: ResidualNoise, coarse: float = 0.0) -> Estimate:
-    """Damped Gauss-Newton from the prior's pose over the levels, finest first in `problems`, coarsest first in time.
-
-    Each pair has its own damping, and rests once it has settled. A level takes the scale of its residuals from the one
-    before; the finest has other points, so it finds its own, and a second round works with the outlier limit from the
-    first. The brightness that the many points of level 1 agree on is the prior of the finest. coarse: the share of what
-    they say of the pose that counts there too.
-    """
-    B, last = len(prior.affine), len(problems) - 1
-    nothing = prior.affine.new_zeros(B)
-    found = _Found(prior.T_target_host, prior.affine, nothing.long(), nothing)
-    scale = prior.affine.new_ones(B)
-    heard = None
-    for level in reversed(range(len(problems))):
-        problem = problems[level]
-        if level in (0, last):  # other points, or none so far to tell the scale
-            first = linearise_pairs(problem.points, problem.target, found.T, found.affine, noise, pixels=problem.pixels)
-            found = replace(found, rms=first.rms)
-        for settled in SETTLED if level == 0 else (SETTLED_COARSE,):
-            scale = robust_scale(found.rms)
-            found = _search(problem, found, prior, noise, scale, settled, heard)
-        if level == 1:
-            if coarse > 0:
-                system = _system(problem, found.T, found.affine, noise, scale)
-                heard = heard_of_pose(system, found.T, found.affine, prior, coarse)
-            learnt = brightness_information(found.H, prior.affine_information)
-            prior = replace(prior, affine=found.affine, affine_information=learnt)
-    return Estimate(found.T, found.affine, prior, scale, found.iterations, found.change, heard)
-
-
 @dataclass(frozen=True)
-class _Found:
+class Found:
     """Where a search has got to."""
 
     T: Tensor  # (B, 4, 4)
@@ -131,11 +101,48 @@ class _Found:
     H: Tensor = NOTHING  # (B, 8, 8) at the pose, prior included
 
 
-def _search(
-    problem: Problem, start: _Found, prior: Prior, noise: ResidualNoise, scale: Tensor, settled: float,
+# one round on one level: problem, start, prior, noise, robust scale (B,), what settles it, what level 1 said
+Search = Callable[[Problem, Found, Prior, ResidualNoise, Tensor, float, Heard | None], Found]
+
+
+def descend(
+    problems: Sequence[Problem], prior: Prior, noise: ResidualNoise, coarse: float = 0.0, by: Search | None = None
+) -> Estimate:
+    """Damped Gauss-Newton from the prior's pose over the levels, finest first in `problems`, coarsest first in time.
+
+    Each pair has its own damping, and rests once it has settled. A level takes the scale of its residuals from the one
+    before; the finest has other points, so it finds its own, and a second round works with the outlier limit from the
+    first. The brightness that the many points of level 1 agree on is the prior of the finest. coarse: the share of what
+    they say of the pose that counts there too. by: what searches, search() by default.
+    """
+    by = by or search
+    B, last = len(prior.affine), len(problems) - 1
+    nothing = prior.affine.new_zeros(B)
+    found = Found(prior.T_target_host, prior.affine, nothing.long(), nothing)
+    scale = prior.affine.new_ones(B)
+    heard = None
+    for level in reversed(range(len(problems))):
+        problem = problems[level]
+        if level in (0, last):  # other points, or none so far to tell the scale
+            start, every = replace(problem, steps=0), replace(noise, outlier=float("inf"))
+            found = replace(found, rms=by(start, found, prior, every, torch.ones_like(scale), 0.0, None).rms)
+        for settled in SETTLED if level == 0 else (SETTLED_COARSE,):
+            scale = robust_scale(found.rms)
+            found = by(problem, found, prior, noise, scale, settled, heard)
+        if level == 1:
+            if coarse > 0:
+                system = _system(problem, found.T, found.affine, noise, scale)
+                heard = heard_of_pose(system, found.T, found.affine, prior, coarse)
+            learnt = brightness_information(found.H, prior.affine_information)
+            prior = replace(prior, affine=found.affine, affine_information=learnt)
+    return Estimate(found.T, found.affine, prior, scale, found.iterations, found.change, heard)
+
+
+def search(
+    problem: Problem, start: Found, prior: Prior, noise: ResidualNoise, scale: Tensor, settled: float,
     heard: Heard | None,
-) -> _Found:  # fmt: skip
-    """One round on one level."""
+) -> Found:  # fmt: skip
+    """One round on one level. With no steps it only says what the points' residuals are at the start."""
     T, affine, change, count = start.T, start.affine, start.change, start.iterations
     system = _system(problem, T, affine, noise, scale)
     H, b, energy = with_heard(with_prior(system, T, affine, prior), T, heard)
@@ -166,7 +173,7 @@ def _search(
         active = active & (better | (damping <= 1e4)) & (change >= settled)
         if nothing_left(active):
             break
-    return _Found(T, affine, count, change, rms, H)
+    return Found(T, affine, count, change, rms, H)
 
 
 def _system(problem: Problem, T: Tensor, affine: Tensor, noise: ResidualNoise, scale: Tensor) -> NormalEquations:

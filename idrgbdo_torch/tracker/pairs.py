@@ -1,6 +1,7 @@
-"""Pairs at once, as the package offers them: by the fused kernels on the CPU, by the definitions on any other device.
+"""Pairs at once, as the package offers them: by the fused kernels on the CPU, by one kernel a round of the search on a
+GPU where Triton is installed, by the definitions on any other device.
 
-Both give the same numbers, to the single precision in which images are read. What the kernels do not have goes to the
+All give the same numbers, to the single precision in which images are read. What the kernels do not have goes to the
 definitions: noise that differs from point to point, gradients of where points are picked and sampled, images so small
 or of such types that only the definition has a word for them.
 """
@@ -24,7 +25,7 @@ from ..definitions.points import BORDER, TRACKED_LEVELS, HostPoints
 from ..definitions.tracking import STEPS, Prior
 from ..errors import door
 from ..measurement import LEVELS, PIXELS
-from . import image_operators, operators
+from . import gpu, gpu_images, image_operators, operators
 
 
 @door
@@ -46,9 +47,11 @@ def align_pairs(
     smallest = min(camera.width, camera.height) >> max(len(task.steps) - 1, 0)
     if not (fusable(points, task.noise, task.gray) and smallest >= SMALLEST and 0 < len(task.steps) <= LEVELS):
         check_points(points, task.gray, task.depth)
+        if gpu.has_it(task) and smallest >= SMALLEST:
+            return gpu.aligned(task, gradient_steps)
         return aligned_by_definition(task, gradient_steps)
     tensors = operators.list_of(task)
-    seen = gradient_steps > 0 and torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
+    seen = gradient_steps > 0 and recorded(*tensors)
     if not seen:
         tensors = [x.detach() for x in tensors]
     numbers = operators.numbers_of(camera, task.noise)
@@ -96,9 +99,12 @@ def pick_points(gray: Tensor, depth: Tensor, count: int) -> tuple[Tensor, Tensor
     """
     plain = all(x.device.type == "cpu" and x.dtype == torch.float32 and not recorded(x) for x in (gray, depth))
     inside = [size - 2 * BORDER for size in gray.shape[-2:]]
-    if not plain or gray.ndim != 3 or gray.shape != depth.shape or count < 1 or min(inside) < 1:
+    there = gpu_images.can(gray, depth)
+    if not (plain or there) or gray.ndim != 3 or gray.shape != depth.shape or count < 1 or min(inside) < 1:
         return by_points.pick_points(gray, depth, count)
     cell = by_points.cell_of(inside[0] * inside[1], count)
+    if there:
+        return gpu_images.pick(gray, depth, cell)
     uv, inverse_depth = image_operators.pick(gray, depth, cell, ceil(inside[0] / cell) * ceil(inside[1] / cell))
     return uv, inverse_depth
 
@@ -115,8 +121,12 @@ def host_points(
     """
     variance = by_points.checked_variance(gray, uv, inverse_depth, sigma)
     plain = gray.dtype == torch.float32 and gray.device.type == uv.device.type == "cpu" and not recorded(gray, uv)
-    if not plain or not 0 < levels <= LEVELS or min(gray.shape[-2:]) >> (levels - 1) < SMALLEST:
+    there = gpu_images.can(gray) and uv.is_cuda and not recorded(uv)
+    if not (plain or there) or not 0 < levels <= LEVELS or min(gray.shape[-2:]) >> (levels - 1) < SMALLEST:
         return by_points.host_points(gray, uv, inverse_depth, sigma=sigma, weight=weight, levels=levels)
+    if there:
+        patches, gradients = gpu_images.sampled(gray, uv, levels)
+        return HostPoints(uv, inverse_depth, variance, tuple(patches), tuple(gradients), weight)
     patch, gradient = (x.to(uv.dtype) for x in image_operators.sampled(gray, uv, levels))
     return HostPoints(uv, inverse_depth, variance, tuple(patch.unbind(1)), tuple(gradient.unbind(1)), weight)
 
@@ -125,7 +135,10 @@ def host_points(
 def tracking_pyramid(gray: Tensor, levels: int) -> tuple[Tensor, ...]:
     """Halvings of gray (B, H, W), finest first, the coarse ones blurred so that texture does not alias there."""
     plain = gray.ndim == 3 and gray.dtype == torch.float32 and gray.device.type == "cpu" and not recorded(gray)
-    if not plain or not 1 < levels <= LEVELS or min(gray.shape[-2:]) >> (levels - 1) < SMALLEST:
+    small = min(gray.shape[-2:]) >> max(levels - 1, 0) < SMALLEST
+    if levels > 1 and not small and gpu_images.can(gray):
+        return gpu_images.tracking_pyramid(gray, levels)
+    if not plain or not 1 < levels <= LEVELS or small:
         return by_points.tracking_pyramid(gray, levels)
     return (gray, *image_operators.halved(gray, levels))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 
@@ -74,13 +74,22 @@ def one_by_one(pairs: Pairs, points: HostPoints) -> list[Aligned]:
 
 @pytest.mark.parametrize("points", [24, 256], ids="{:03}".format)
 @pytest.mark.parametrize("count", [1, 32, 256, 1024], ids="{:04}".format)
-def test_align(count: int, points: int, full: bool, footage: Film, benchmark: BenchmarkFixture) -> None:
+@pytest.mark.parametrize("device", ["cpu", "cuda"])
+def test_align(device: str, count: int, points: int, full: bool, footage: Film, benchmark: BenchmarkFixture) -> None:
     benchmark.group = f"8 a batch: {count} pairs, picked, sampled and aligned"
+    if device == "cuda" and not torch.cuda.is_available():
+        pytest.skip("needs a GPU")
     if not full and count > 32:
         pytest.skip("the short form takes the smallest ones")
     pairs = neighbours(footage, count if full else min(count, 4))
+    pairs = replace(pairs, gray=pairs.gray.to(device), depth=pairs.depth.to(device))
     benchmark.extra_info["pairs"] = len(pairs.gray) - 1
-    assert bool(benchmark(aligned, pairs, points).ok.all())
+    assert benchmark(all_found, pairs, points)
+
+
+def all_found(pairs: Pairs, points: int) -> bool:
+    """Waits for a GPU."""
+    return bool(aligned(pairs, points).ok.all())
 
 
 @pytest.mark.parametrize("points", [24, 256])
