@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..frame import Frame
 from ..measurement import LEVELS, State, Subset
 from .doubt import align_blurred, is_blurred
-from .features import start_from_features
+from .features import FULL, HALF, start_from_features, worth_the_whole
 from .intruder import hidden
 from .keyframe import all_patches
 from .tracking import Pair, Tracked, track_closely, track_frame
@@ -56,6 +57,8 @@ def align(
             return tracked, verdict, surprise_px
     tracked = track_frame(pair, start, index, Subset(coarse, pixels), information, levels)
     verdict = verify(pair, tracked)
+    if blind(pair.frame):
+        return tracked, verdict, displacement(pair, start.T, tracked.T_frame_kf)
     if verdict.hidden > LIMITS.in_front:
         again, second = align_beside(pair, start, index, information, levels)
         if second.score > verdict.score:
@@ -105,9 +108,20 @@ def displacement(pair: Pair, T_a: Array, T_b: Array) -> float:
     return pair.backend.displacement(keyframe.frame.intrinsics[0], keyframe.points, keyframe.coarse, T_a, T_b)
 
 
+def blind(frame: Frame) -> bool:
+    """Whether a frame has no depth at all, as behind a covered lens: none of its poses can be verified."""
+    return not bool((frame.depth > 0.0).any())
+
+
 def recover_by_features(pair: Pair, affine: Array, index: Index) -> tuple[Tracked, Verdict]:
-    """recover() from where the features of frame and keyframe say: for views far apart, where no prediction holds."""
-    start = start_from_features(pair.frame, pair.keyframe.frame)
+    """recover() from where the features of frame and keyframe say: for views far apart, where no prediction holds.
+
+    Those of the half-size level say it for a quarter of the cost; those of the whole image are asked where the former
+    are too few for a pose, but too many for chance.
+    """
+    start = start_from_features(pair.frame, pair.keyframe.frame, HALF)
+    if start is None and worth_the_whole(pair.frame, pair.keyframe.frame):
+        start = start_from_features(pair.frame, pair.keyframe.frame, FULL)
     if start is None:
         return NOTHING
     tracked, verdict = recover(pair, [start.T_target_host] * 2, affine, index, (NEAR_LEVELS, LEVELS))
@@ -119,13 +133,16 @@ def recover(
 ) -> tuple[Tracked, Verdict]:
     """Try again from each guess of T_frame_kf with all candidates on so many levels, no prior; the best one.
 
-    The finest level keeps the chosen points `index`. There is at least one guess.
+    The finest level keeps the chosen points `index`. There is at least one guess; one that is there twice is tried
+    once.
     """
     pair = replace(pair, keyframe=all_patches(pair.keyframe, pair.backend))
     points = pair.keyframe.points
     everyone = Subset(np.arange(len(points.uv)), points.patch.shape[2])
-    tried = []
-    for guess, count in zip(guesses, levels, strict=False):
+    tried: list[tuple[Tracked, Verdict]] = []
+    for n, (guess, count) in enumerate(zip(guesses, levels, strict=False)):
+        if n and count == levels[n - 1] and np.array_equal(guess, guesses[n - 1]):
+            continue  # a camera that rests is where it was
         tracked = track_frame(pair, State(guess, affine), index, everyone, FREE, count)
         tried.append((tracked, verify(pair, tracked)))
         if not tried[-1][1].doubt(LIMITS.weak):

@@ -1,8 +1,8 @@
 """ORB features of a frame, and where a frame must stand to see those of a keyframe: the start of a search, no more.
 
-Only a frame that the direct search has lost pays for them, and a place that is kept for such frames. Places have them
-from the half-size level, where they cost a quarter and still start an alignment within a pixel or two; a keyframe that
-is far from the frame has them from the whole image, since there every match counts.
+Only a frame that the direct search has lost pays for them, and a place that is kept for such frames. They are from the
+half-size level, where they cost a quarter and still start an alignment within a pixel or two; from the whole image only
+where a frame is so far from its keyframe that every match counts.
 """
 
 from __future__ import annotations
@@ -14,17 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frame import Frame
+from ..kernels.matching import mutual_matches
 
 Array = NDArray[np.float64]
 
 FULL, HALF = 0, 1  # levels of the pyramid
 COUNT = {FULL: 1500, HALF: 500}  # features of an image
-THRESHOLD = 7  # gray levels, of a corner: half-size levels are smooth, and so is motion blur
+WORDS = 4  # of 64 bits, of a descriptor
+THRESHOLDS = (20, 7)  # gray levels, of a corner; the lower one where an image is smooth, as in motion blur:
+PLENTY = 0.8  # of COUNT, and the lower threshold, which takes twice as long, finds hardly others
+FEW = 250  # features of an image that is small or poor: the whole one costs little there
+CHANCE = 10  # matches of the half-size level; wide steps that the whole image explains have 11 or more, other places 3
 RATIO = 0.8  # of the best to the second-best match (Lowe)
 FEWEST = 12  # matches with depth that are worth a try, and that must agree with a pose
 SUPPORT = 20  # matches that speak for a pose whose brightness agrees in half of the points only
 REPROJECTION_PX = 3.0  # of a match that agrees, on that level
-TRIPLES = 3000  # of matches that are looked at,
+TRIPLES, AT_ONCE = 3000, 500  # of matches that are looked at, so many at once,
 POSES = 100  # and of which the first so many that could be one triangle are tried
 SAME_SHARE, SAME_M = 0.03, 0.01  # by which its sides may differ: share, and m at a depth of 1 m, with its square
 APART = 0.1  # of the depth: shortest side
@@ -37,7 +42,7 @@ class Features:
     """The features of one image, with depth where the sensor has it."""
 
     uv: NDArray[np.float32]  # (F, 2) px of its level
-    descriptor: NDArray[np.uint8]  # (F, 32)
+    descriptor: NDArray[np.uint8]  # (F, 8 WORDS)
     P: NDArray[np.float32]  # (F, 3) m in the camera; 0 where there is no depth
 
 
@@ -53,10 +58,13 @@ def detected(frame: Frame, level: int) -> Features:
     """Find them."""
     shown = frame.images[level] if frame.sharp is None or level != FULL else frame.sharp
     image = np.nan_to_num(shown).clip(0.0, 255.0).astype(np.uint8)
-    detector = cv2.ORB.create(nfeatures=COUNT[level], fastThreshold=THRESHOLD)
-    keypoints, descriptor = detector.detectAndCompute(image, None)
+    for threshold in THRESHOLDS:
+        detector = cv2.ORB.create(nfeatures=COUNT[level], fastThreshold=threshold)
+        keypoints, descriptor = detector.detectAndCompute(image, None)
+        if len(keypoints) >= PLENTY * COUNT[level]:
+            break
     if not keypoints:
-        return Features(np.zeros((0, 2), np.float32), np.zeros((0, 32), np.uint8), np.zeros((0, 3), np.float32))
+        return Features(np.zeros((0, 2), np.float32), np.zeros((0, 8 * WORDS), np.uint8), np.zeros((0, 3), np.float32))
     uv = np.array([point.pt for point in keypoints], np.float32)
     at_full = np.rint((uv + 0.5) * 2.0**level - 0.5).astype(np.int64)
     height, width = frame.depth.shape
@@ -72,15 +80,8 @@ def match(host: Features, target: Features) -> NDArray[np.int64]:
     deep = np.flatnonzero(host.P[:, 2] > 0.0)
     if len(deep) < 2 or len(target.uv) < 2:
         return np.zeros((0, 2), np.int64)
-    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
-    there = matcher.knnMatch(host.descriptor[deep], target.descriptor, k=2)
-    clear = [(best.queryIdx, best.trainIdx) for best, second in there if best.distance < RATIO * second.distance]
-    pairs = np.array(clear, np.int64).reshape(-1, 2)
-    if not clear:
-        return pairs
-    back = [found.trainIdx for found in matcher.match(target.descriptor[pairs[:, 1]], host.descriptor[deep])]
-    mutual = pairs[:, 0] == np.array(back, np.int64)
-    return np.column_stack([deep[pairs[mutual, 0]], pairs[mutual, 1]])
+    pairs = mutual_matches(host.descriptor[deep].view(np.uint64), target.descriptor.view(np.uint64), RATIO)
+    return np.column_stack([deep[pairs[:, 0]], pairs[:, 1]])
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,11 @@ def pose_from_features(host: Features, target: Features, camera: Array) -> Persp
     It starts from three matches whose triangle is as large in both views, since both know depth: the one that most
     matches agree with. camera: (4,) fx fy cx cy of the target on the level of its features.
     """
-    pairs = match(host, target)
+    return pose_from_matches(host, target, match(host, target), camera)
+
+
+def pose_from_matches(host: Features, target: Features, pairs: NDArray[np.int64], camera: Array) -> Perspective | None:
+    """pose_from_features() of matches (M, 2) as match() gives them."""
     if len(pairs) < FEWEST:
         return None
     P, Q = host.P[pairs[:, 0]].astype(np.float64), target.P[pairs[:, 1]].astype(np.float64)
@@ -139,16 +144,20 @@ def poses_of_triangles(P: Array, Q: Array) -> Array:
     if len(deep) < 3:
         return np.zeros((0, 4, 4))
     triples = deep[np.random.default_rng(0).integers(0, len(deep), (TRIPLES, 3))]
-    A, B = P[triples], Q[triples]  # (N, 3, 3) a point a row
-    sides, others = (np.linalg.norm(X - X[:, [1, 2, 0]], axis=2) for X in (A, B))
-    far = np.maximum(A[:, :, 2], B[:, :, 2]).max(axis=1, keepdims=True)
-    alike = np.abs(sides - others) < SAME_SHARE * sides + SAME_M * far**2
-    rigid = np.flatnonzero((alike & (sides > APART * far)).all(axis=1))[:POSES]
-    A, B = A[rigid], B[rigid]
+    rigid = np.zeros((0, 3), np.int64)
+    for part in np.split(triples, range(AT_ONCE, TRIPLES, AT_ONCE)):
+        A, B = P[part], Q[part]  # (N, 3, 3) a point a row
+        sides, others = (np.linalg.norm(X - X[:, [1, 2, 0]], axis=2) for X in (A, B))
+        far = np.maximum(A[:, :, 2], B[:, :, 2]).max(axis=1, keepdims=True)
+        alike = np.abs(sides - others) < SAME_SHARE * sides + SAME_M * far**2
+        rigid = np.concatenate([rigid, part[(alike & (sides > APART * far)).all(axis=1)]])
+        if len(rigid) >= POSES:
+            break
+    A, B = P[rigid[:POSES]], Q[rigid[:POSES]]
     middle_a, middle_b = A.mean(axis=1, keepdims=True), B.mean(axis=1, keepdims=True)
     U, _, Vt = np.linalg.svd((B - middle_b).transpose(0, 2, 1) @ (A - middle_a))  # Kabsch
     U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
-    T = np.tile(np.eye(4), (len(rigid), 1, 1))
+    T = np.tile(np.eye(4), (len(A), 1, 1))
     T[:, :3, :3] = U @ Vt
     T[:, :3, 3] = (middle_b - middle_a @ T[:, :3, :3].transpose(0, 2, 1))[:, 0]
     return T
@@ -172,3 +181,9 @@ def refined_perspective(T: Array, P: Array, uv: Array, camera: Array) -> Array:
 def start_from_features(frame: Frame, keyframe: Frame, level: int = FULL) -> Perspective | None:
     """The pose T_frame_kf that the features of both give on a level; None where too few agree."""
     return pose_from_features(features(keyframe, level), features(frame, level), frame.intrinsics[level])
+
+
+def worth_the_whole(frame: Frame, keyframe: Frame) -> bool:
+    """Whether features of the whole images may say what those of the half-size level do not."""
+    host, target = features(keyframe, HALF), features(frame, HALF)
+    return min(len(host.uv), len(target.uv)) < FEW or len(match(host, target)) >= CHANCE

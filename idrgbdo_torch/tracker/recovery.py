@@ -12,7 +12,7 @@ from ..frame import Keyframe
 from ..kernels.se3 import inverse
 from ..measurement import LEVELS, State, Subset
 from .alignment import FREE, NEAR_LEVELS
-from .features import HALF, Perspective, features, pose_from_features, start_from_features
+from .features import HALF, Perspective, features, match, pose_from_matches, start_from_features
 from .places import Place, nearest_first
 from .tracking import Pair, Tracked, track_frame
 from .verification import LIMITS, Verdict, obstructed, verify
@@ -20,6 +20,7 @@ from .verification import LIMITS, Verdict, obstructed, verify
 Array = NDArray[np.float64]
 
 NEIGHBOURS = 3  # keyframes of the window that are tried directly
+TRIED = 4  # places that a frame is aligned to
 IN_VIEW = 0.25  # share of a place's points that must be in view: it may be seen from elsewhere, but not by a corner
 
 
@@ -46,11 +47,7 @@ def aligned(pair: Pair, T_frame_kf: Array, levels: int) -> tuple[Tracked, Verdic
 
 
 def find_in_window(pair: Pair, T_cam_world: Array, window: dict[int, tuple[Keyframe, Array]]) -> Found | None:
-    """The frame against the other keyframes of the window, the nearest views first: from where it was expected, then
-    from where the features say.
-    """
-    if found := find_near(pair, T_cam_world, window):
-        return found
+    """The frame against the other keyframes of the window, the nearest views first, from where the features say."""
     for number in neighbours(T_cam_world, window):
         keyframe, _ = window[number]
         start = start_from_features(pair.frame, keyframe.frame, HALF)
@@ -77,12 +74,14 @@ def find_near(pair: Pair, T_cam_world: Array, window: dict[int, tuple[Keyframe, 
 
 
 def find_in_places(pair: Pair, places: Sequence[Place]) -> Found | None:
-    """The frame in places that were seen before."""
+    """The frame in places that were seen before, those first that share most features with it."""
     if not places:
         return None
     seen = features(pair.frame, HALF)
-    for place in places:
-        start = pose_from_features(place.features, seen, pair.frame.intrinsics[HALF])
+    pairs = [match(place.features, seen) for place in places]
+    for k in sorted(range(len(places)), key=lambda k: -len(pairs[k]))[:TRIED]:
+        place = places[k]
+        start = pose_from_matches(place.features, seen, pairs[k], pair.frame.intrinsics[HALF])
         if start and (found := from_perspective(place.number, replace(pair, keyframe=place.keyframe), start)):
             return found
     return None

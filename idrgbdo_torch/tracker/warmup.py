@@ -23,10 +23,12 @@ from numba.core.event import Event, Listener, install_listener
 from ..config import Config, KeyframeConfig, SelectionConfig, WindowConfig
 from ..definitions.camera import Pinhole
 from ..frame import Keyframe, RgbdFrame, prepare
+from ..kernels.matching import mutual_matches
 from ..kernels.tracking import align
 from ..measurement import LEVELS, PATTERN_U, Points, kernel_noise
 from ..odometry import Odometry
 from .backends import backend_named
+from .features import RATIO, WORDS
 from .window import Window
 
 NOTICE = "compiling the kernels, some 15 s, once; they are kept for later processes"
@@ -111,6 +113,7 @@ def track_films(make: Make, before_window: Callable[[], object] = lambda: None) 
             if number == 2:  # about to need the window
                 before_window()
             odometry.track(frame)
+    mutual_matches(np.zeros((1, WORDS), np.uint64), np.zeros((1, WORDS), np.uint64), RATIO)  # of the lost alone
 
 
 def compile_window() -> None:

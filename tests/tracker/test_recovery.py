@@ -17,8 +17,9 @@ from idrgbdo_torch.evaluation import evaluate
 from idrgbdo_torch.frame import Frame, RgbdFrame, prepare
 from idrgbdo_torch.kernels.se3 import retract
 from idrgbdo_torch.odometry import Run, Status, TrackResult, run
-from idrgbdo_torch.tracker import alignment, loss
-from idrgbdo_torch.tracker.features import FULL, features, pose_from_features
+from idrgbdo_torch.tracker import alignment, loss, recovery
+from idrgbdo_torch.tracker import features as tracker_features
+from idrgbdo_torch.tracker.features import FULL, Features, features, pose_from_features, worth_the_whole
 from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 from idrgbdo_torch.tracker.places import MOST, Places, without_images
 from idrgbdo_torch.tracker.recovery import aligned
@@ -71,6 +72,7 @@ def test_a_broken_track_joins_what_it_sees_again(desk: Film, monkeypatch: pytest
     frames = [black(f) if 8 <= n < 13 else f for n, f in enumerate(at(desk.frames, order))]
     odometry = IdRgbdo(replace(Config(), keyframe=KeyframeConfig(threshold_bits=0.1)))
     with monkeypatch.context() as blind:
+        blind.setattr(loss, "find_near", lambda *_: None)
         blind.setattr(loss, "find_in_window", lambda *_: None)
         blind.setattr(loss, "find_in_places", lambda *_: None)
         blind.setattr(alignment, "start_from_features", lambda *_: None)
@@ -164,12 +166,59 @@ def test_places_are_bounded(desk: Film) -> None:
     assert len(numbers) <= MOST and numbers == sorted(numbers) and numbers[0] == 0 and numbers[-1] == MOST + 29
 
 
-def test_nothing_is_looked_for_where_nothing_is_lost(desk: Film, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object) -> None:
-        raise AssertionError("a search although nothing is lost")
+def fail(*_: object) -> None:
+    raise AssertionError("a search that can find nothing")
 
+
+@pytest.mark.parametrize("black_too", [True, False])
+def test_a_frame_without_depth_is_not_searched_for(
+    desk: Film, monkeypatch: pytest.MonkeyPatch, black_too: bool
+) -> None:
+    """None of its poses could be verified; the frame after it is searched for."""
+    hidden = [black(f) if black_too else replace(f, depth=torch.zeros_like(f.depth)) for f in desk.frames[6:9]]
+    odometry = IdRgbdo()
+    run(odometry, desk.frames[:6])
+    with monkeypatch.context() as searching:
+        searching.setattr(alignment, "recover", fail)
+        searching.setattr(alignment, "start_from_features", fail)
+        for name in ("find_near", "find_in_window", "find_in_places"):
+            searching.setattr(loss, name, fail)
+        assert [odometry.track(frame).status for frame in hidden] == [Status.LOST] * 3
+    T = odometry.track(desk.frames[9]).T_world_cam
+    assert float((T[:3, 3] - desk.T(0, 9)[:3, 3]).norm()) < 0.005
+
+
+def test_the_whole_image_is_asked_where_half_of_it_says_something(desk: Film, monkeypatch: pytest.MonkeyPatch) -> None:
+    elsewhere = film(replace(SMALL, kind="structure_texture", frames=1, seed=11))
+    here, near, other = (prepare(frame) for frame in (desk.frames[0], desk.frames[8], elsewhere.frames[0]))
+    assert worth_the_whole(other, here)  # a small image, which costs little
+    monkeypatch.setattr(tracker_features, "FEW", 0)
+    assert worth_the_whole(near, here)
+    assert not worth_the_whole(other, here)
+
+
+def test_few_places_are_tried_the_most_alike_first(desk: Film, monkeypatch: pytest.MonkeyPatch) -> None:
+    odometry = IdRgbdo()
+    run(odometry, desk.frames[:1])
+    assert odometry.reference is not None
+    places = Places()
+    for number in (0, 9, 39, 30, 20, 34):
+        places.add(number, replace(odometry.reference.keyframe, frame=prepare(desk.frames[number])))
+    tried: list[int] = []
+
+    def give_up(host: Features, *_: object) -> None:
+        tried.append(next(place.number for place in places.kept if place.features is host))
+
+    monkeypatch.setattr(recovery, "pose_from_matches", give_up)
+    pair = Pair(prepare(desk.frames[38]), odometry.reference.keyframe, odometry.noise, odometry.backend)
+    assert recovery.find_in_places(pair, places.kept) is None
+    assert len(tried) == recovery.TRIED and tried[:2] == [39, 34]
+
+
+def test_nothing_is_looked_for_where_nothing_is_lost(desk: Film, monkeypatch: pytest.MonkeyPatch) -> None:
     for module, name in (
         (alignment, "start_from_features"),
+        (loss, "find_near"),
         (loss, "find_in_window"),
         (loss, "find_in_places"),
     ):
