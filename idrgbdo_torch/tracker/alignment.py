@@ -28,6 +28,7 @@ NEAR_LEVELS = 3  # for a start within some pixels: views far apart are alike in 
 EXPECTED_PX = 2.0  # mean distance in the image between the predicted and the measured pose of such a frame
 WIDE_PX = 12.0  # the same, from which on each chosen point errs by more: all spread-out ones say where the frame is
 WIDE_IN_VIEW = 0.6  # share of them that must be in view; fewer stand on one side
+OTHER_PX = 10.0  # between two starts of a search, under which they end alike: no second one helped that was within 48 px
 FEWEST_BESIDE = 24  # points beside something in front that are worth a try
 NOTHING = (
     Tracked(np.eye(4), np.zeros(2), np.zeros((6, 6)), 0, 0, np.zeros(0, np.int64), np.zeros(0)),
@@ -68,7 +69,8 @@ def align(
         if not verdict.doubt(LIMITS.lost):
             return tracked, verdict, displacement(pair, start.T, tracked.T_frame_kf)
     if verdict.doubt(LIMITS.weak):
-        again, second = recover(pair, [start.T, resting], start.affine, index)
+        far = displacement(pair, start.T, resting) > OTHER_PX
+        again, second = recover(pair, [start.T, resting] if far else [start.T], start.affine, index)
         if second.score > verdict.score:
             tracked, verdict = again, second
     if verdict.doubt(LIMITS.weak):
@@ -133,16 +135,13 @@ def recover(
 ) -> tuple[Tracked, Verdict]:
     """Try again from each guess of T_frame_kf with all candidates on so many levels, no prior; the best one.
 
-    The finest level keeps the chosen points `index`. There is at least one guess; one that is there twice is tried
-    once.
+    The finest level keeps the chosen points `index`. There is at least one guess.
     """
     pair = replace(pair, keyframe=all_patches(pair.keyframe, pair.backend))
     points = pair.keyframe.points
     everyone = Subset(np.arange(len(points.uv)), points.patch.shape[2])
-    tried: list[tuple[Tracked, Verdict]] = []
-    for n, (guess, count) in enumerate(zip(guesses, levels, strict=False)):
-        if n and count == levels[n - 1] and np.array_equal(guess, guesses[n - 1]):
-            continue  # a camera that rests is where it was
+    tried = []
+    for guess, count in zip(guesses, levels, strict=False):
         tracked = track_frame(pair, State(guess, affine), index, everyone, FREE, count)
         tried.append((tracked, verify(pair, tracked)))
         if not tried[-1][1].doubt(LIMITS.weak):
