@@ -28,7 +28,7 @@ NEAR_LEVELS = 3  # for a start within some pixels: views far apart are alike in 
 EXPECTED_PX = 2.0  # mean distance in the image between the predicted and the measured pose of such a frame
 WIDE_PX = 12.0  # the same, from which on each chosen point errs by more: all spread-out ones say where the frame is
 WIDE_IN_VIEW = 0.6  # share of them that must be in view; fewer stand on one side
-OTHER_PX = 10.0  # between two starts of a search, under which they end alike: no second one helped that was within 48 px
+OTHER_PX = 10.0  # between two starts of a search, under which they end alike: no second one nearer than 49 px helped
 FEWEST_BESIDE = 24  # points beside something in front that are worth a try
 NOTHING = (
     Tracked(np.eye(4), np.zeros(2), np.zeros((6, 6)), 0, 0, np.zeros(0, np.int64), np.zeros(0)),
