@@ -94,13 +94,14 @@ class OnGpu:
         depth = target.inverse_depth.contiguous() if target.inverse_depth is not None and used else image
         B, N = points.rows.shape[0], points.rows.shape[-1]
         answer = Answer.empty(B, N, points.rows)
-        search[(B,)](
-            image, *image.shape[-2:], depth, *depth.shape[-2:], points.rows, points.patch[level],
-            points.gradient[level], points.weight, self._numbers[level], N, *map(plain, start[:2]),
-            *map(plain, (prior.T_target_host, prior.information, prior.affine, prior.affine_information)),
-            plain(start.scale), turn.limit, turn.settled, problem.steps, int(turn.every), *answer,
-            DEPTH=used, PAPER=noise.mode == "paper", BLOCK=BLOCK, num_warps=WARPS, enable_fp_fusion=False,
-        )  # fmt: skip
+        with gpu_images.on_its_device(image):
+            search[(B,)](
+                image, *image.shape[-2:], depth, *depth.shape[-2:], points.rows, points.patch[level],
+                points.gradient[level], points.weight, self._numbers[level], N, *map(plain, start[:2]),
+                *map(plain, (prior.T_target_host, prior.information, prior.affine, prior.affine_information)),
+                plain(start.scale), turn.limit, turn.settled, problem.steps, int(turn.every), *answer,
+                DEPTH=used, PAPER=noise.mode == "paper", BLOCK=BLOCK, num_warps=WARPS, enable_fp_fusion=False,
+            )  # fmt: skip
         return answer
 
 

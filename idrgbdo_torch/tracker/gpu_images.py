@@ -5,8 +5,11 @@ For contiguous images (B, H, W) of single precision; gradients are the definitio
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from importlib.util import find_spec
 from math import ceil
+from os import getenv
+from shutil import which
 
 import torch
 from torch import Tensor
@@ -15,7 +18,8 @@ from ..definitions.points import BORDER, ONE_SURFACE
 from ..frame import blur_taps
 from ..measurement import COARSE_BLUR, PATTERN, PIXELS
 
-TRITON = find_spec("triton") is not None
+# it needs a C compiler to launch anything
+TRITON = find_spec("triton") is not None and any(map(which, (getenv("CC", "cc"), "gcc", "clang")))
 LINE = 1024  # numbers a program of `inverse` makes
 BLOCK = 32  # points a program of `sample` makes
 LAST = 2.001  # px from the far border, where patches are clamped to
@@ -25,6 +29,11 @@ def can(*images: Tensor) -> bool:
     """Whether the kernels have these images."""
     plain = all(x.is_cuda and x.dtype == torch.float32 and x.ndim == 3 for x in images)
     return TRITON and plain and not (torch.is_grad_enabled() and any(x.requires_grad for x in images))
+
+
+def on_its_device(x: Tensor) -> AbstractContextManager[object]:
+    """Triton launches on the current device, which need not be that of the tensors."""
+    return torch.cuda.device(x.device) if x.is_cuda else nullcontext()
 
 
 def tracking_pyramid(gray: Tensor, levels: int) -> tuple[Tensor, ...]:
@@ -37,11 +46,10 @@ def tracking_pyramid(gray: Tensor, levels: int) -> tuple[Tensor, ...]:
         B, height, width = finer.shape
         halved = finer.new_empty(B, height // 2, width // 2)
         columns = power_of_two(width // 2)
-        halve[(B * (height // 2),)](
-            finer, height, width, halved, *halved.shape[1:], COLUMNS=columns, enable_fp_fusion=False
-        )
-        blurred = torch.empty_like(halved)
-        blur[(B * (height // 2),)](halved, *halved.shape[1:], taps, blurred, COLUMNS=columns, enable_fp_fusion=False)
+        blurred, rows, size = torch.empty_like(halved), B * (height // 2), halved.shape[1:]
+        with on_its_device(gray):
+            halve[(rows,)](finer, height, width, halved, *size, COLUMNS=columns, enable_fp_fusion=False)
+            blur[(rows,)](halved, *size, taps, blurred, COLUMNS=columns, enable_fp_fusion=False)
         images.append(blurred)
         finer = halved
     return tuple(images)
@@ -53,7 +61,8 @@ def inverse_of(depth: Tensor) -> Tensor:
 
     depth = depth.contiguous()
     out = torch.empty_like(depth)
-    inverse[(ceil(depth.numel() / LINE),)](depth, depth.numel(), out, COLUMNS=LINE)
+    with on_its_device(depth):
+        inverse[(ceil(depth.numel() / LINE),)](depth, depth.numel(), out, COLUMNS=LINE)
     return out
 
 
@@ -65,10 +74,11 @@ def pick(gray: Tensor, depth: Tensor, cell: int) -> tuple[Tensor, Tensor]:
     across, down = ceil((width - 2 * BORDER) / cell), ceil((height - 2 * BORDER) / cell)
     uv = gray.new_empty(B, across * down, 2, dtype=torch.float64)
     inverse_depth = gray.new_empty(B, across * down, dtype=torch.float64)
-    pick[(B, across * down)](
-        gray.contiguous(), depth.contiguous(), height, width, cell, across, down, gray.new_tensor([ONE_SURFACE]), uv,
-        inverse_depth, COLUMNS=power_of_two(cell), num_warps=1, enable_fp_fusion=False,
-    )  # fmt: skip
+    with on_its_device(gray):
+        pick[(B, across * down)](
+            gray.contiguous(), depth.contiguous(), height, width, cell, across, down, gray.new_tensor([ONE_SURFACE]),
+            uv, inverse_depth, COLUMNS=power_of_two(cell), num_warps=1, enable_fp_fusion=False,
+        )  # fmt: skip
     return uv, inverse_depth
 
 
@@ -82,10 +92,11 @@ def sampled(gray: Tensor, uv: Tensor, levels: int) -> tuple[list[Tensor], list[T
     patches, gradients = [], []
     for level, image in enumerate(tracking_pyramid(gray, levels)):
         patch, gradient = places.new_empty(B, N, PIXELS), places.new_empty(B, N, PIXELS, 2)
-        sample[(B, ceil(N / BLOCK))](
-            image.contiguous(), *image.shape[1:], places, N, places.new_tensor([0.5**level, LAST]), pattern, patch,
-            gradient, BLOCK=BLOCK, num_warps=1,
-        )  # fmt: skip
+        with on_its_device(gray):
+            sample[(B, ceil(N / BLOCK))](
+                image.contiguous(), *image.shape[1:], places, N, places.new_tensor([0.5**level, LAST]), pattern, patch,
+                gradient, BLOCK=BLOCK, num_warps=1,
+            )  # fmt: skip
         patches.append(patch.to(uv.dtype))
         gradients.append(gradient.to(uv.dtype))
     return patches, gradients
