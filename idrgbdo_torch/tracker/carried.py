@@ -71,13 +71,24 @@ class Carried:
 
     def cleared(self, keyframe: Keyframe) -> Keyframe:
         """A new keyframe without the thing, as far as it is still there; with negative depth, see without_intruder."""
+        mask = self._shown(keyframe.frame)
+        return keyframe if mask is None else without(keyframe, mask)
+
+    def beside(self, frame: Frame) -> Frame:
+        """A frame whose depth is negative where the thing is, as far as it is still there."""
+        mask = self._shown(frame)
+        return frame if mask is None else replace(frame, depth=np.where(mask, -np.abs(frame.depth), frame.depth))
+
+    def _shown(self, frame: Frame) -> Mask | None:
+        """(H, W) where a frame shows the thing; None where it does not."""
         if self.thing is None:
-            return keyframe
-        depth, there = keyframe.frame.depth, self.thing > 0.0
-        mask = there & (np.abs(depth - self.thing) < IN_FRONT * self.thing)
+            return None
+        depth, there = frame.depth, self.thing > 0.0
+        mask: Mask = there & (np.abs(depth - self.thing) < IN_FRONT * self.thing)
         if mask.sum() < STILL * there.sum():
-            return keyframe
-        return without(keyframe, mask | (there & (depth == 0.0)))
+            return None
+        mask |= there & (depth == 0.0)
+        return mask
 
     def seen_in(self, frame: Frame, verdict: Verdict, noise: Noise, backend: Backend) -> Keyframe | None:
         """Look at the next frame, and at the verdict on the pose that explains most of it.

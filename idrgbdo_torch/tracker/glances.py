@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frame import Frame
+from ..kernels import sights as kernel
 from ..kernels.se3 import inverse
-from ..measurement import IN_FRONT
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -25,7 +25,9 @@ Image = NDArray[Any]
 STRIDE = 2  # frames between two that are kept
 KEPT = 5  # of them
 STEP = 4  # px between the pixels that are kept
-FEWEST_KNOWN = 16  # points by which two images can be compared
+FEWEST_KNOWN = 16  # points by which two images can be compared,
+MOST_KNOWN = 256  # and more are not needed for that
+NO_IMAGE = np.zeros((0, 0), np.float32)
 OTHER_GRAY = 12.0  # gray levels on level 1, by which a point looks otherwise
 
 
@@ -68,46 +70,43 @@ def fallen(uv: Array, inv_depth: Array, intrinsics: Array, other: Sight) -> tupl
     return ahead, np.where(ahead, u, 0).astype(np.int64), np.where(ahead, v, 0).astype(np.int64), z
 
 
-def at_depth(other: Sight, u: Index, v: Index, z: Array) -> Mask:
-    """(N,): what a sight saw of the world in its pixels is as far as that, m."""
-    out: Mask = np.abs(other.depth[v, u] - z) < IN_FRONT * z
-    return out
+class Looked(NamedTuple):
+    """What a sight says of points of a frame, (N,) each."""
+
+    foreign: Mask  # it saw through, or met what is not of the world, all around
+    same: Mask  # it saw that depth
+    value: Image | None = None  # gray level there, None where brightness cannot be compared
 
 
-def moved(uv: Array, inv_depth: Array, frame: Frame, others: Sequence[Sight], known: Mask) -> tuple[Mask, Mask]:
+def look(uv: Array, inv_depth: Array, intrinsics: Array, other: Sight) -> Looked:
+    """Points of a frame, (N, 2) px and (N,) 1/m, in a sight. intrinsics: (4,) of the frame."""
+    gray, intrinsics_gray = other.gray, other.gray_intrinsics
+    if gray is None or intrinsics_gray is None:
+        gray, intrinsics_gray = NO_IMAGE, intrinsics
+    found = kernel.look(
+        uv, inv_depth, intrinsics, other.T_sight_frame, other.depth, other.intrinsics, other.reach, gray,
+        intrinsics_gray,
+    )  # fmt: skip
+    return Looked(found[0], found[1], None if other.gray is None else found[2])
+
+
+def moved(uv: Array, frame: Frame, looked: Sequence[Looked], known: Mask) -> tuple[Mask, Mask]:
     """Of points of a frame, (N,) each: those of another brightness where others saw that depth, and all for which that
     can be said, by the first that did. known: (N,), those that surely are of the world, which tell the exposure.
     """
-    here = _sampled(frame.images[1], (uv[:, 0] - 0.5) / 2.0, (uv[:, 1] - 0.5) / 2.0)
+    here = kernel.sampled(frame.images[1], uv, 0.5, -0.25)  # the middle of a pixel of level 1 is amid four
     unlike, judged = np.zeros(len(uv), np.bool_), np.zeros(len(uv), np.bool_)
-    for other in others:
-        if other.gray is None or other.gray_intrinsics is None:
+    for _, same, value in looked:
+        if value is None or len(told := np.flatnonzero(same & known)) < FEWEST_KNOWN:
             continue
-        inside, u, v, z = fallen(uv, inv_depth, frame.intrinsics[0], other)
-        there = np.abs(other.depth[v, u])
-        same = inside & (np.abs(there - z) < IN_FRONT * z)
-        if (same & known).sum() < FEWEST_KNOWN:
-            continue
-        _, x, y, _ = cast(uv, inv_depth, frame.intrinsics[0], other.T_sight_frame, other.gray_intrinsics)
-        value = _sampled(other.gray, x, y)
-        a, b = here[same & known], value[same & known]
-        gain = float(np.median(np.abs(b - np.median(b))) / max(np.median(np.abs(a - np.median(a))), 1.0))
-        differs = np.abs(value - np.median(b) - gain * (here - np.median(a))) > OTHER_GRAY
+        told = told[:: -(-len(told) // MOST_KNOWN)]
+        a, b = here[told], value[told]
+        middle_a, middle_b = np.median(a), np.median(b)
+        gain = np.median(np.abs(b - middle_b)) / max(np.median(np.abs(a - middle_a)), 1.0)
+        differs = np.abs(value - middle_b - gain * (here - middle_a)) > OTHER_GRAY
         unlike |= same & ~judged & differs
         judged |= same
     return unlike, judged
-
-
-def _sampled(image: Image, u: Array, v: Array) -> Array:
-    """(N,) of an image at places in px, between its pixels; its border's beyond it."""
-    height, width = image.shape
-    u, v = u.clip(0.0, width - 1.0), v.clip(0.0, height - 1.0)
-    left, top = np.minimum(u.astype(np.int64), max(width - 2, 0)), np.minimum(v.astype(np.int64), max(height - 2, 0))
-    right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
-    across, down = u - left, v - top
-    above = (1.0 - across) * image[top, left] + across * image[top, right]
-    out: Array = (1.0 - down) * above + down * ((1.0 - across) * image[below, left] + across * image[below, right])
-    return out
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from .elders import confirmed, held_against
 from .glances import Glance
 from .history import History
 from .instant import steady, takes_time
-from .intruder import outlined, without_intruder
+from .intruder import agreement, outlined, without_intruder
 from .keyframe import FEWEST_CANDIDATES, make_keyframe, wants_keyframe
 from .loss import Losing
 from .mapping import NOTHING, keyframe_cloud
@@ -85,8 +85,10 @@ class IdRgbdo(Losing):
         if takes_time(rgbd.camera) and not verdict.doubt(LIMITS.lost):
             frame, tracked, verdict = self._steadied(rgbd, tracked, self.reference)
         tracked, verdict = self._beside(frame, tracked, verdict)
+        verdict = self._confronted(frame, tracked, verdict, self.reference)
         if unusable(verdict, self.reference.keyframe.intruded, LIMITS.weak) and self._late_keyframe(frame, verdict):
             tracked, verdict = self._align(frame, self.reference)
+            verdict = self._confronted(frame, tracked, verdict, self.reference)
         reference, motion, dt = self.reference, self.motion, self.motion.gap(frame.timestamp)
         strict = LIMITS.sure if self.lost_in_a_row else LIMITS.lost
         if reason := unusable(verdict, reference.keyframe.intruded, strict):
@@ -140,6 +142,15 @@ class IdRgbdo(Losing):
         self.motion.begin(carried.T_frame_kf @ carried.T_kf_world)
         return self._align(frame, reference)
 
+    def _confronted(self, frame: Frame, tracked: Tracked, verdict: Verdict, reference: Reference) -> Verdict:
+        """The verdict, and what the last frames say to the pose where something is in front: it leaves few points."""
+        in_front = self.motion.contested or reference.keyframe.intruded or verdict.hidden > LIMITS.in_front
+        if not in_front or verdict.doubt(LIMITS.lost):
+            return verdict
+        seen = self.motion.carried.beside(frame) if self.motion.carried else frame
+        lately = agreement(seen, self._sights(tracked.T_frame_kf @ reference.T_kf_world))
+        return replace(verdict, lately=lately)
+
     def _align(self, frame: Frame, reference: Reference) -> tuple[Tracked, Verdict]:
         """A frame against the newest keyframe, from where it is expected."""
         motion, dt = self.motion, self.motion.gap(frame.timestamp)
@@ -182,7 +193,8 @@ class IdRgbdo(Losing):
         prior = motion_information(self.config, KEYFRAME_GAP)
         index = self._select(keyframe, np.eye(4), self.config.selection.points, prior, self.noise)
         self.motion.turn = self.motion.frame_turn
-        _, other = self._align(frame, Reference(keyframe, self.motion.T_cam_world, self.motion.turn, index))
+        reference = Reference(keyframe, self.motion.T_cam_world, self.motion.turn, index)
+        other = self._confronted(frame, *self._align(frame, reference), reference)
         helps = other.score > verdict.score and not other.doubt(LIMITS.weak)
         self.motion.turn = self.motion.frame_turn if helps else turn
         if helps or verdict.doubt(LIMITS.lost):
@@ -239,6 +251,7 @@ class IdRgbdo(Losing):
         """Keep what the frame just tracked sees, now and then; without what has come in, where it can tell."""
         motion = self.motion
         if motion.glances.is_due():
+            frame = motion.carried.beside(frame) if motion.carried else frame
             foreign = outlined(frame, self._sights(motion.T_cam_world)) if motion.contested else None
             motion.glances.add(Glance.of(frame, motion.T_cam_world, foreign))
 

@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 from ..frame import Frame, Keyframe
 from ..kernels.se3 import inverse
 from ..measurement import IN_FRONT, Points
-from .glances import FEWEST_KNOWN, STEP, Sight, at_depth, fallen, moved, sight
+from .glances import FEWEST_KNOWN, STEP, Looked, Sight, fallen, look, moved, sight
+from .verification import LIMITS
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Window = dict[int, tuple[Keyframe, Array]]  # keyframes by number, with T_kf_world (4, 4)
 
-AROUND = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))  # in a sight's reach, where the depth must all say the same
-MOST_AROUND = 3  # of these, of which none may say the contrary
 OF_IT = 0.1  # share of a surface that intrudes, from which on all of it does, as far as it is not known to stand
 MOST_OF_IT = 0.8  # share of what is known of one, from which on what was seen of it before is no part of the world
 SLOPE = 3.0  # gray levels/px, from which on a pixel is texture: what has none never changes
+STRONG = 6.0  # and where it has enough to look otherwise two pixels beside
 FEW = 8  # points that may look otherwise by chance
 SUSPECT = 0.25  # share of a surface that came into view and looks otherwise, from which on it is a stranger,
 LOOKED_INTO = 0.1  # and share of all points that did, from which on that is looked into
@@ -55,27 +55,27 @@ def hidden(points: Points, T_frame_kf: Array, frame: Frame) -> Mask:
     return out
 
 
-def intruding(uv: Array, inv_depth: Array, intrinsics: Array, before: Sight) -> tuple[Mask, Mask]:
-    """Of points of a new keyframe, (N,) each: those that stand where an earlier sight went through or met an intruder
-    itself, all around; and those that it saw too. intrinsics: (4,) of the keyframe.
-    """
-    inside, u, v, z = fallen(uv, inv_depth, intrinsics, before)
-    same = inside & at_depth(before, u, v, z)
-    there = before.depth[v, u]
-    (asked,) = np.nonzero(
-        inside & ~((there > 0.0) & (there <= z * (1.0 + IN_FRONT)))
-    )  # most are where it saw something
-    height, width = before.depth.shape
-    u, v, z = u[asked], v[asked], z[asked]
-    against, contrary = np.zeros(len(z), np.int64), np.zeros(len(z), np.bool_)
-    for du, dv in AROUND:
-        there = before.depth[(v + before.reach * dv).clip(0, height - 1), (u + before.reach * du).clip(0, width - 1)]
-        not_it = (there > z * (1.0 + IN_FRONT)) | ((there < 0.0) & (z < -there * (1.0 + IN_FRONT)))
-        against += not_it
-        contrary |= (there > 0.0) & ~not_it
-    foreign = np.zeros(len(inside), np.bool_)
-    foreign[asked] = (against >= MOST_AROUND) & ~contrary
-    return foreign, same
+def looks(uv: Array, inv_depth: Array, intrinsics: Array, others: Sequence[Sight]) -> list[Looked]:
+    """Points of a frame, (N, 2) px and (N,) 1/m, in several sights."""
+    return [look(uv, inv_depth, intrinsics, other) for other in others]
+
+
+def by_any(looked: Sequence[Looked], count: int) -> tuple[Mask, Mask]:
+    """(N,) each: points that stand where any of several sights saw nothing, and those that any saw else."""
+    foreign, seen = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+    for one in looked:
+        foreign |= one.foreign
+        seen |= one.same
+    return foreign, seen & ~foreign
+
+
+def known_before(looked: Sequence[Looked], count: int) -> Mask:
+    """(N,): points of a frame that earlier keyframes saw too."""
+    out = np.zeros(count, np.bool_)
+    for one in looked:
+        if one.value is None:
+            out |= one.same
+    return out
 
 
 def without_intruder(keyframe: Keyframe, others: Sequence[Sight]) -> Keyframe | None:
@@ -86,8 +86,9 @@ def without_intruder(keyframe: Keyframe, others: Sequence[Sight]) -> Keyframe | 
     be more than borders and noise, None where they leave too little of it.
     """
     points, frame = keyframe.points, keyframe.frame
-    foreign, _ = by_any(points.uv, points.inv_depth, frame.intrinsics[0], others)
-    if foreign.sum() <= INTRUDERS * len(foreign) and not has_newcomers(keyframe, others):
+    looked = looks(points.uv, points.inv_depth, frame.intrinsics[0], others)
+    foreign, _ = by_any(looked, len(points.uv))
+    if foreign.sum() <= INTRUDERS * len(foreign) and not has_newcomers(keyframe, looked):
         return keyframe  # also where there are no points at all
     outline = outlined(frame, others)
     about = cv2.dilate(outline, np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)) > 0
@@ -100,13 +101,13 @@ def without_intruder(keyframe: Keyframe, others: Sequence[Sight]) -> Keyframe | 
     return replace(stays, frame=replace(frame, depth=depth), intruded=True)
 
 
-def has_newcomers(keyframe: Keyframe, others: Sequence[Sight]) -> bool:
+def has_newcomers(keyframe: Keyframe, looked: Sequence[Looked]) -> bool:
     """Whether many points that no earlier keyframe knows were not where they are in the last frames."""
-    points, frame = keyframe.points, keyframe.frame
-    known = known_before(points.uv, points.inv_depth, frame, others)
+    uv = keyframe.points.uv
+    known = known_before(looked, len(uv))
     if (~known).sum() <= FEW:
         return False
-    unlike, judged = moved(points.uv, points.inv_depth, frame, others, known)
+    unlike, judged = moved(uv, keyframe.frame, looked, known)
     new = judged & ~known
     share = LOOKED_INTO + at_any_rate(unlike, judged & known)
     return bool((unlike & new).sum() > max(FEW, share * new.sum()))
@@ -120,26 +121,6 @@ def at_any_rate(unlike: Mask, judged: Mask) -> float:
     return 2.0 * float(unlike[judged].mean()) if judged.any() else 1.0
 
 
-def known_before(uv: Array, inv_depth: Array, frame: Frame, others: Sequence[Sight]) -> Mask:
-    """(N,): points of a frame that earlier keyframes saw too."""
-    out = np.zeros(len(uv), np.bool_)
-    for other in others:
-        if other.gray is None:
-            inside, u, v, z = fallen(uv, inv_depth, frame.intrinsics[0], other)
-            out |= inside & at_depth(other, u, v, z)
-    return out
-
-
-def by_any(uv: Array, inv_depth: Array, intrinsics: Array, others: Sequence[Sight]) -> tuple[Mask, Mask]:
-    """intruding() by any of several, and seen by any of them where none says intruding."""
-    foreign, seen = np.zeros(len(uv), np.bool_), np.zeros(len(uv), np.bool_)
-    for other in others:
-        intrudes, same = intruding(uv, inv_depth, intrinsics, other)
-        foreign |= intrudes
-        seen |= same
-    return foreign, seen & ~foreign
-
-
 def blocked(frame: Frame, others: Sequence[Sight]) -> bool:
     """Whether something that others did not see there fills much of a frame's view."""
     return bool(outlined(frame, others).mean() > BLOCKED)
@@ -150,22 +131,53 @@ def outlined(frame: Frame, others: Sequence[Sight]) -> NDArray[np.uint8]:
     know it, or all where most of what is known of it was not there. And surfaces that came into view and moved since.
     """
     height, width = frame.depth.shape
-    v, u = (x.ravel() for x in np.mgrid[0:height:STEP, 0:width:STEP])
-    size = -(-height // STEP), -(-width // STEP)
-    z, uv = frame.depth[v, u].astype(np.float64), np.column_stack([u, v]).astype(np.float64)
-    inv_depth = np.divide(1.0, z, out=np.zeros_like(z), where=z > 0.0)
-    foreign, seen = by_any(uv, inv_depth, frame.intrinsics[0], others)
-    there, seen = smooth(z.reshape(size)), seen.reshape(size)
-    opened = cv2.morphologyEx(foreign.reshape(size).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    uv, z = cells(frame)
+    looked = looks(uv, reciprocal(z).ravel(), frame.intrinsics[0], others)
+    foreign, seen = by_any(looked, len(uv))
+    there, seen = smooth(z), seen.reshape(z.shape)
+    opened = cv2.morphologyEx(foreign.reshape(z.shape).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     core = opened > 0
-    whole = core | surfaces((there & ~seen) | core, core, np.ones(size), OF_IT)
+    whole = core | surfaces((there & ~seen) | core, core, np.ones(z.shape), OF_IT)
     whole |= surfaces(there | core, core, seen | core, MOST_OF_IT)
-    known = known_before(uv, inv_depth, frame, others)
-    unlike, judged = moved(uv, inv_depth, frame, others, known)
+    known = known_before(looked, len(uv))
+    unlike, judged = moved(uv, frame, looked, known)
     share = SUSPECT + at_any_rate(unlike, judged & known)
-    judged &= ~known & textured(frame.images[1])[(v // 2).clip(0, height // 2 - 1), (u // 2).clip(0, width // 2 - 1)]
-    whole |= surfaces(there & ~known.reshape(size), unlike & judged, judged, share, FEWEST_KNOWN)
+    judged &= ~known & at(textured(frame.images[1]), uv)
+    whole |= surfaces(there & ~known.reshape(z.shape), unlike & judged, judged, share, FEWEST_KNOWN)
     out: NDArray[np.uint8] = cv2.resize(whole.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
+    return out
+
+
+def agreement(frame: Frame, others: Sequence[Sight]) -> float:
+    """Share of a frame's texture that keyframes know, which looks as it did in the last frames; 1 where that is little.
+
+    These points had no part in finding the pose.
+    """
+    uv, z = cells(frame)
+    looked = looks(uv, reciprocal(z).ravel(), frame.intrinsics[0], others)
+    known = known_before(looked, len(uv)) & at(textured(frame.images[1], STRONG), uv)
+    unlike, judged = moved(uv, frame, looked, known)
+    judged &= known
+    return 1.0 - float(unlike[judged].mean()) if judged.sum() >= LIMITS.left else 1.0
+
+
+def cells(frame: Frame) -> tuple[Array, Array]:
+    """Pixels in steps, (N, 2) px, and how far they are, (h, w) m."""
+    height, width = frame.depth.shape
+    v, u = np.mgrid[0:height:STEP, 0:width:STEP]
+    return np.column_stack([u.ravel(), v.ravel()]).astype(np.float64), frame.depth[v, u].astype(np.float64)
+
+
+def reciprocal(z: Array) -> Array:
+    """1/m of a depth, 0 where that is unknown."""
+    return np.divide(1.0, z, out=np.zeros_like(z), where=z > 0.0)
+
+
+def at(mask: Mask, uv: Array) -> Mask:
+    """(N,) of a mask on level 1 at pixels (N, 2)."""
+    height, width = mask.shape
+    u, v = (uv.astype(np.int64) // 2).T
+    out: Mask = mask[v.clip(0, height - 1), u.clip(0, width - 1)]
     return out
 
 
@@ -190,10 +202,10 @@ def surfaces(part: Mask, its: NDArray[Any], of_all: NDArray[Any], share: float, 
     return out
 
 
-def textured(image: NDArray[np.float32]) -> Mask:
-    """(h, w) where an image has slopes."""
+def textured(image: NDArray[np.float32], slope: float = SLOPE) -> Mask:
+    """(h, w) where an image has slopes, gray levels/px."""
     slopes = [np.abs(cv2.Sobel(image, cv2.CV_32F, dx, 1 - dx, scale=0.125)) for dx in (1, 0)]
-    out: Mask = np.maximum(*slopes) > SLOPE
+    out: Mask = np.maximum(*slopes) > slope
     return out
 
 

@@ -30,6 +30,7 @@ class Limits:
     weak: float = 0.61  # a pose is doubtful,
     lost: float = 0.54  # and is not used
     depth_above: float = 0.12  # how much larger the share must be in depth, which knows no shadows and highlights
+    lately_above: float = 0.09  # likewise among what the last frames saw, which are nearer than the keyframe
     few_depths: int = 12  # fewer measured depths than this are too few to judge by
     in_front: float = 0.15  # share of hidden points under which nothing stands in front: borders and parallax
     left: int = 32  # points that are seen beside something in front, under which they are too few to be sure
@@ -53,11 +54,12 @@ class Verdict:
     hidden: float = 0.0  # share of the seen ones with depth that something nearer hides
     points: int = 0  # so many are seen that nothing hides
     supported: bool = False  # features that had no part in the alignment agree with it
+    lately: float = 1.0  # share of the frame's texture that looks as in the last frames, where that is asked
 
     @property
     def score(self) -> float:
         """For the choice between two poses."""
-        return self.visible * self.bright * self.near
+        return self.visible * self.bright * self.near * self.lately
 
     def doubt(self, strict: float) -> str:
         """Why the pose is not to be believed, empty when it is; strict grows the limits towards 1."""
@@ -67,6 +69,8 @@ class Verdict:
             return f"only {self.bright:.0%} of the points agree in brightness"
         if self.near < strict + LIMITS.depth_above:
             return f"only {self.near:.0%} of the points agree in depth"
+        if self.lately < strict + LIMITS.lately_above:
+            return f"only {self.lately:.0%} of what is known looks as in the last frames"
         return ""
 
 

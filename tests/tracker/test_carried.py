@@ -7,6 +7,7 @@ from fuzz.stress import Film as Stressed
 from fuzz.stress import tally
 from rendered import Film
 
+from idrgbdo_torch.frame import prepare
 from idrgbdo_torch.odometry import Status
 from idrgbdo_torch.synthetic.disturbance import thing
 from idrgbdo_torch.tracker.carried import in_front
@@ -60,3 +61,15 @@ def test_a_thing_is_nearer_than_what_is_around_it(desk: Film) -> None:
     mask = (depth > 0.0) & (depth < 0.65)
     assert mask.mean() > 0.2
     assert in_front(mask, first, first) and not in_front(~mask, first, first)
+
+
+def test_a_frame_without_the_thing_keeps_the_rest(odometry: IdRgbdo, desk: Film) -> None:
+    carried = odometry.motion.carried
+    assert carried is not None
+    frame = prepare(thing(round(320 * SHARE**0.5), round(240 * SHARE**0.5), 8).before(desk.frames[-1], 70, 50))
+    depth = carried.beside(frame).depth
+    assert (depth[60:170, 85:230] < 0).mean() > 0.95 and (depth[:25] >= 0).all()
+    gone = prepare(desk.frames[-1])
+    assert carried.beside(gone) is gone
+    last = odometry.motion.glances.kept[-1].depth  # in which the rest of its surroundings is not taken for it
+    assert (last[16:42, 22:57] < 0).mean() > 0.95 and (last[:6] >= 0).mean() > 0.95

@@ -9,10 +9,10 @@ import pytest
 from rendered import Film
 
 from idrgbdo_torch.frame import Frame, RgbdFrame, prepare
-from idrgbdo_torch.kernels.se3 import inverse
+from idrgbdo_torch.kernels.se3 import inverse, retract
 from idrgbdo_torch.synthetic.disturbance import thing
 from idrgbdo_torch.tracker.glances import KEPT, STEP, STRIDE, Glance, Glances, Sight, moved, sight
-from idrgbdo_torch.tracker.intruder import outlined
+from idrgbdo_torch.tracker.intruder import agreement, looks, outlined
 
 BORDER = 250  # px, to the right of which something stands
 
@@ -46,7 +46,7 @@ def test_the_world_looks_as_it_did(desk: Film, gain: float) -> None:
     frame, T = prepare(desk.frames[14]), desk.T(14, 0).numpy()
     uv, inv_depth = grid(frame)
     others = seen_from(Glance.of(prepare(darker), desk.T(10, 0).numpy()), T)
-    unlike, judged = moved(uv, inv_depth, frame, others, np.ones(len(uv), np.bool_))
+    unlike, judged = moved(uv, frame, looks(uv, inv_depth, frame.intrinsics[0], others), np.ones(len(uv), np.bool_))
     assert judged.mean() > 0.6 and not (unlike & ~judged).any()
     assert unlike.sum() < 0.05 * judged.sum()
 
@@ -55,7 +55,7 @@ def test_what_moves_by_itself_looks_otherwise_and_is_outlined(desk: Film) -> Non
     frame, glance, T = two(desk, 20)
     uv, inv_depth = grid(frame)
     its, others = uv[:, 0] > BORDER + 8, seen_from(glance, T)
-    unlike, judged = moved(uv, inv_depth, frame, others, ~its)
+    unlike, judged = moved(uv, frame, looks(uv, inv_depth, frame.intrinsics[0], others), ~its)
     assert (judged & its).sum() > 50 and unlike[judged & its].mean() > 0.4
     assert unlike[judged & ~its].mean() < 0.05
     keyframe = prepare(desk.frames[8])
@@ -87,3 +87,16 @@ def test_glances_are_few_marked_and_follow_the_world(desk: Film) -> None:
     np.testing.assert_allclose(glances.kept[0].T_cam_world @ inverse(T_old_new), T, atol=1e-12)
     glances.forget()
     assert not glances.sights(T)
+
+
+def test_the_last_frames_tell_a_pose_that_is_off(desk: Film) -> None:
+    frame, keyframe, T = prepare(desk.frames[14]), prepare(desk.frames[8]), desk.T(14, 0).numpy()
+    glance, T_keyframe = Glance.of(prepare(desk.frames[10]), desk.T(10, 0).numpy()), desk.T(8, 0).numpy()
+
+    def share(T_frame_world: np.ndarray) -> float:
+        known = sight(keyframe, T_keyframe @ inverse(T_frame_world))
+        return agreement(frame, [known, *seen_from(glance, T_frame_world)])
+
+    turned = retract(np.array([0.0, 0.0, 0.0, 0.0, 0.05, 0.0]), T)
+    assert share(T) > 0.85 and share(turned) < 0.65
+    assert agreement(frame, seen_from(glance, turned)) == 1.0  # nothing is known of it

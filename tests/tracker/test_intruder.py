@@ -12,9 +12,9 @@ from idrgbdo_torch.definitions.se3 import inverse
 from idrgbdo_torch.frame import RgbdFrame
 from idrgbdo_torch.odometry import Run, Status, run
 from idrgbdo_torch.synthetic.disturbance import Thing, thing
-from idrgbdo_torch.tracker.glances import sight
+from idrgbdo_torch.tracker.glances import look, sight
 from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
-from idrgbdo_torch.tracker.intruder import blocked, intruding, some_views, without_intruder
+from idrgbdo_torch.tracker.intruder import blocked, some_views, without_intruder
 
 Place = Callable[[int], tuple[int, int]]
 
@@ -78,7 +78,5 @@ def test_a_keyframe_leaves_out_what_stands_where_nothing_was(desk: Film) -> None
     assert kept.points.uv[:, 0].min() > 155 and (whole.points.uv[:, 0] < 150).sum() > 100
     assert (kept.frame.depth[20:220, 10:150] < 0).mean() > 0.95  # which the next keyframe knows as the thing
     assert len(kept.coarse) == len(np.unique(kept.coarse)) and kept.coarse.max() < len(kept.points.uv)
-    again, _ = intruding(
-        whole.points.uv, whole.points.inv_depth, whole.frame.intrinsics[0], sight(kept.frame, np.eye(4))
-    )
-    assert again[whole.points.uv[:, 0] < 140].mean() > 0.8
+    again = look(whole.points.uv, whole.points.inv_depth, whole.frame.intrinsics[0], sight(kept.frame, np.eye(4)))
+    assert again.foreign[whole.points.uv[:, 0] < 140].mean() > 0.8
