@@ -77,7 +77,7 @@ class Carried:
     def beside(self, frame: Frame) -> Frame:
         """A frame whose depth is negative where the thing is, as far as it is still there."""
         mask = self._shown(frame)
-        return frame if mask is None else replace(frame, depth=np.where(mask, -np.abs(frame.depth), frame.depth))
+        return frame if mask is None else replace(frame, depth=marked(frame.depth, mask))
 
     def _shown(self, frame: Frame) -> Mask | None:
         """(H, W) where a frame shows the thing; None where it does not."""
@@ -149,8 +149,19 @@ class Carried:
 def without(keyframe: Keyframe, mask: Mask) -> Keyframe:
     """A keyframe without what is in some pixels (H, W): no points, and negative depth, so that no one measures it."""
     u, v = keyframe.points.uv.astype(np.int64).T
-    depth = np.where(mask, -np.abs(keyframe.frame.depth), keyframe.frame.depth)
-    return replace(only(keyframe, ~mask[v, u]), frame=replace(keyframe.frame, depth=depth), intruded=True)
+    frame = replace(keyframe.frame, depth=marked(keyframe.frame.depth, mask))
+    return replace(only(keyframe, ~mask[v, u]), frame=frame, intruded=True)
+
+
+def marked(depth: Image, mask: Mask) -> Image:
+    """(H, W) m, negative in a mask where that is no part of the world; 0 where it is farther than most of it, and may
+    be one after all: a mask is no sharp one, and what is taken for the thing once makes others seem to belong to it.
+    """
+    far = np.abs(depth)
+    its = far[mask & (far > 0.0)]
+    near = far < (1.0 + IN_FRONT) * (np.median(its) if its.size else 0.0)
+    out: Image = np.where(mask, np.where(near, -far, np.float32(0.0)), depth)
+    return out
 
 
 def level_of(frame: Frame) -> int:
