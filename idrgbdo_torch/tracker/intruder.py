@@ -154,8 +154,10 @@ def agreement(frame: Frame, others: Sequence[Sight]) -> float:
     These points had no part in finding the pose.
     """
     uv, z = cells(frame)
-    looked = looks(uv, reciprocal(z).ravel(), frame.intrinsics[0], others)
-    known = known_before(looked, len(uv)) & at(textured(frame.images[1], STRONG), uv)
+    strong = at(textured(frame.images[1], STRONG), uv)
+    uv = uv[strong]
+    looked = looks(uv, reciprocal(z).ravel()[strong], frame.intrinsics[0], others)
+    known = known_before(looked, len(uv))
     unlike, judged = moved(uv, frame, looked, known)
     judged &= known
     return 1.0 - float(unlike[judged].mean()) if judged.sum() >= LIMITS.left else 1.0
