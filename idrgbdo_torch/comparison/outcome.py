@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ..errors import IdRgbdoError
 from ..runs.writing import write_whole
-from ..text.files import MOST_TEXT, plain_bytes, read_json
+from ..text.files import MOST_TEXT, plain_bytes, plain_descriptor, read_json
 from .methods import Kind, Method
 
 EXTERNAL = "external"  # the kind of a trajectory that another program wrote
@@ -100,9 +100,10 @@ def append_outcome(folder: Path, outcome: Outcome) -> None:
     path = folder / RESULTS
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        torn = path.exists() and path.read_bytes()[-1:] not in (b"", b"\n")
-        with path.open("a", encoding="utf-8") as file:
-            file.write(("\n" if torn else "") + json.dumps(asdict(outcome)) + "\n")
+        with os.fdopen(plain_descriptor(path, os.O_RDWR | os.O_CREAT | os.O_APPEND), "r+b") as file:
+            file.seek(max(0, file.seek(0, os.SEEK_END) - 1))
+            torn = file.read(1) not in (b"", b"\n")
+            file.write((("\n" if torn else "") + json.dumps(asdict(outcome)) + "\n").encode())
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:

@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 
 from ..errors import IdRgbdoError
-from ..text.files import DAMAGE, is_named, is_plain_file
+from ..text.files import DAMAGE, is_named, is_plain_file, open_plain
 
 INDEX_POSITION = b"index_pos="  # in the header of a ROS 1 bag: where its topics are listed, 0 until it is closed
 # below rosbags, of different versions of it: their errors
@@ -32,13 +32,15 @@ def damage() -> tuple[type[Exception], ...]:
 
 
 def check_files(path: Path) -> None:
-    """Raises IdRgbdoError for what is no plain file and would be waited for."""
+    """Raises IdRgbdoError where no plain file is there, but something that would be waited for."""
     files = [path]
     if path.is_dir():
-        files = [file for file in path.iterdir() if file.suffix in (".mcap", ".db3", ".zstd")]
-    for file in files:
-        if is_named(file) and not is_plain_file(file):
-            raise IdRgbdoError(f"sequence: expected a recording at '{file}', found a pipe or a device; check the path")
+        files = [file for file in path.iterdir() if file.suffix in (".bag", ".mcap", ".db3", ".zstd")]
+    strange = [file for file in files if is_named(file) and not is_plain_file(file)]
+    if strange and len(strange) == len(files):  # of several, the others are read
+        raise IdRgbdoError(
+            f"sequence: expected a recording at '{strange[0]}', found a pipe or a device; check the path"
+        )
 
 
 def repair(path: Path) -> str:
@@ -51,10 +53,8 @@ def repair(path: Path) -> str:
 
 def index_position(path: Path) -> int | None:
     """Where the index of a ROS 1 bag begins; 0 where it was not closed, None for another file."""
-    if not is_plain_file(path):
-        return None
     try:
-        with path.open("rb") as file:
+        with open_plain(path) as file:
             head = file.read(HEAD)
     except OSError:
         return None
@@ -70,7 +70,7 @@ def index_head(path: Path) -> bytes:
     if not position:
         return b""
     try:
-        with path.open("rb") as file:
+        with open_plain(path) as file:
             file.seek(min(position, 1 << 62))
             return file.read(INDEX)
     except OSError:

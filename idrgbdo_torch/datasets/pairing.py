@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
 import torch
 
 from ..errors import IdRgbdoError
@@ -17,6 +18,7 @@ from .builder import RawPair
 from .images import IMAGE_SUFFIXES, read_color, read_depth
 
 FPS = 30.0  # where nothing tells the times
+ODD_S = 1.0  # that a time may differ from what is usual
 MOST_ALONE = 0.1  # of the images of a kind; where more have no partner, something is wrong
 
 T = TypeVar("T")
@@ -103,6 +105,18 @@ def unpaired_warning(
         f"{len(color)} colour and {len(depth)} depth images make only {pairs} pairs within {limit_s:g} s; the others "
         "are left out; check the two clocks, or raise --association-limit",
     )
+
+
+def out_of_time(
+    images: Sequence[tuple[float, tuple[float, int]]], paired: Collection[tuple[float, int]]
+) -> list[tuple[float, int]]:
+    """Those without partner whose own time (s) is far from that of their recording (ns), by what is usual for them.
+
+    images: each a time and a stamp, of which the second number is the time of recording.
+    """
+    apart = np.array([time - recorded / 1e9 for time, (_, recorded) in images])
+    odd = np.flatnonzero(np.abs(apart - np.median(apart)) > ODD_S)
+    return [images[place][1] for place in odd.tolist() if images[place][1] not in paired]
 
 
 def missing_files(pairs: Sequence[FilePair]) -> tuple[str, ...]:

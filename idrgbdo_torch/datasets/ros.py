@@ -21,11 +21,11 @@ from .bag_files import check_files, damage, repair
 from .bags.reader import Connection, Reader
 from .builder import RawPair
 from .calibration import Calibration, find_calibration
-from .pairing import pair_by_time, unpaired_warning
+from .pairing import out_of_time, pair_by_time, unpaired_warning
 from .recording import Options, Recording
 from .ros_camera import calibration_of_info
-from .ros_images import DEPTH_HEADER, color_image, depth_image
-from .ros_topics import Topic, choose_topics
+from .ros_images import DEPTH_HEADER, color_image, depth_image, is_deep
+from .ros_topics import Topic, choose_topics, namespace_of
 from .usual import LOOK_AT
 
 DEPTH_SCALE = 1000.0  # REP 118
@@ -58,6 +58,8 @@ def read(path: Path, options: Options) -> Recording:
     if bag.reader.revised():  # with what looking for depth has found
         of_color = bag.stamps(color)
     frames = pair_by_time(of_color, of_depth, options.association_limit_s, path)
+    paired = {stamp for _, *both in frames for stamp in both}
+    bag.timeless |= {stamp for images in (of_color, of_depth) for stamp in out_of_time(images, paired)}
 
     def read_pair(index: int) -> RawPair:
         _, color_stamp, depth_stamp = frames[index]
@@ -91,34 +93,37 @@ class _Bag:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.reader = _open(path)
-        self._timeless: set[tuple[str, int]] = set()  # images that have not even a time, by that of recording
+        self.timeless: set[object] = set()  # images without a time of this recording, or of another topic
         weakref.finalize(self, self.reader.close)
 
     def warnings(self) -> tuple[str, ...]:
         """What is damaged, and what else is to be said of the files."""
         damaged = self.reader.damaged()
         first = f" ({shown(plain(damaged[0]), quoted=False)})" if damaged else ""
-        count = len(damaged) + len(self._timeless)
+        count = len(damaged) + len(self.timeless)
         left_out = f"{count} damaged images, or places in the recording, are left out{first}"
         return (*self.reader.said(), *((left_out,) if count else ()))
 
     def topics(self, options: Options) -> tuple[Connection, Connection, tuple[str, ...]]:
         """The connections of colour and depth, and warnings. Raises IdRgbdoError where they cannot be told."""
         images = [c for c in self.reader.connections if c.msgtype in IMAGE_TYPES]
-        topics = [Topic(c.topic, c.msgtype == IMAGE_TYPES[0], self._filled(c), c) for c in images]
+        topics = [self._topic(c) for c in images]
         named = options.color_topic, options.depth_topic
         color, depth, warnings = choose_topics(topics, *named, self._frame_id, str(self._path))
         return color.connection, depth.connection, warnings
 
-    def _filled(self, connection: Connection) -> bool:
-        """Whether one of the first messages is more than a header; damage is for later to tell."""
+    def _topic(self, connection: Connection) -> Topic[Connection]:
+        """A topic by the first of its messages that is more than a header; damage is for later to tell."""
+        raw, filled = connection.msgtype == IMAGE_TYPES[0], False
         for _, data in islice(self._messages(connection), LOOK_AT):
             try:
-                if len(self._decode(data, connection).data) > DEPTH_HEADER.size:
-                    return True
+                message = self._decode(data, connection)
             except IdRgbdoError:
-                return True
-        return False
+                filled = True
+                continue
+            if len(message.data) > DEPTH_HEADER.size:
+                return Topic(connection.topic, raw, True, connection, is_deep(message))
+        return Topic(connection.topic, raw, filled, connection)
 
     def _frame_id(self, topic: Topic[Connection]) -> str:
         """The frame that the header of the topic's first message names."""
@@ -134,16 +139,20 @@ class _Bag:
 
         Raises IdRgbdoError for a recording that has none.
         """
-        found: dict[float, Stamp] = {}
+        images: list[tuple[float, Stamp, bool]] = []
         clock = self._camera_clock(connection)
         for recorded, data in self._messages(connection):
             try:
-                stamp = self._stamp(self._decode(data, connection))
+                message = self._decode(data, connection)
+                stamp = self._stamp(message)
             except IdRgbdoError:
-                self._timeless.add((connection.topic, recorded))
+                self.timeless.add((connection.topic, recorded))
                 continue
             time = clock.get(recorded) or (stamp if stamp > 0 else recorded / 1e9)
-            found[time] = (stamp, recorded)
+            images.append((time, (stamp, recorded), is_deep(message)))
+        usual = 2 * sum(deep for _, _, deep in images) >= len(images)
+        found = {time: stamp for time, stamp, deep in images if deep == usual}
+        self.timeless |= {(connection.topic, stamp) for _, stamp, deep in images if deep != usual}
         if not found:
             damaged = self.reader.damaged()
             why = f" (damaged: {damaged[0]})" if damaged else ""
@@ -177,24 +186,51 @@ class _Bag:
 
     def calibration(self, color_topic: str) -> Calibration:
         """From the camera_info beside the colour topic. Raises IdRgbdoError without one."""
-        namespace = re.sub(r"/(compressed|compressedDepth)$", "", color_topic).rsplit("/", 1)[0]
+        namespace = namespace_of(color_topic)
         first_error: IdRgbdoError | None = None
         infos = [c for c in self.reader.connections if c.msgtype == INFO_TYPE]
-        for connection in infos:
-            if connection.topic.rsplit("/", 1)[0] == namespace:
-                where = f"{self._path}, {connection.topic}"
-                for _, data in islice(self._messages(connection), LOOK_AT):
-                    try:
-                        with _damage_named(where):
-                            return calibration_of_info(self._decode(data, connection), "rect" in color_topic, where)
-                    except IdRgbdoError as error:
-                        first_error = first_error or error
+        own = [c for c in infos if namespace_of(c.topic) == namespace and any(self._messages(c))]
+        for connection in own or self._astray(infos, color_topic):
+            where = f"{self._path}, {connection.topic}"
+            for _, data in islice(self._messages(connection), LOOK_AT):
+                try:
+                    with _damage_named(where):
+                        return calibration_of_info(self._decode(data, connection), "rect" in color_topic, where)
+                except IdRgbdoError as error:
+                    first_error = first_error or error
         if first_error is not None:
             raise first_error
         raise IdRgbdoError(
             f"{self._path}: expected '{namespace}/camera_info', found {', '.join(c.topic for c in infos) or 'none'}; "
             "pass --camera F.toml with fx, fy, cx, cy"
         )
+
+    def _astray(self, infos: list[Connection], color_topic: str) -> list[Connection]:
+        """The camera_info beside no images that is of the frame and size of these, as where a name is damaged.
+
+        None where there are several.
+        """
+        images = [c for c in self.reader.connections if c.msgtype in IMAGE_TYPES]
+        beside = {namespace_of(c.topic) for c in images if any(self._messages(c))}
+        sides = {side for c in images if c.topic == color_topic for side in self._sides(c)}
+        found = [c for c in infos if namespace_of(c.topic) not in beside and sides & self._sides(c)]
+        if len(found) != 1:
+            return []
+        note = f"no camera_info stands beside {color_topic}; {found[0].topic}, of the same frame and size, is taken"
+        self.reader.notes += [note] if note not in self.reader.notes else []
+        return found
+
+    def _sides(self, connection: Connection) -> set[tuple[str, int, int]]:
+        """Frame, width and height that its first messages name; 0 where images are packed, and besides."""
+        found: set[tuple[str, int, int]] = set()
+        for _, data in islice(self._messages(connection), LOOK_AT):
+            with suppress(IdRgbdoError):
+                message = self._decode(data, connection)
+                frame = str(message.header.frame_id)
+                packed = connection.msgtype == IMAGE_TYPES[1]
+                found |= {(frame, 0, 0)} if packed else {(frame, message.width, message.height)}
+                found |= {(frame, 0, 0)} if connection.msgtype == INFO_TYPE else set()
+        return found
 
     def frame_warnings(self, color: Connection, a: Stamp, depth: Connection, b: Stamp) -> tuple[str, ...]:
         """A sentence where the two images come from different cameras, by their headers or by their intrinsics."""

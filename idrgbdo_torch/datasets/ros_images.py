@@ -34,6 +34,11 @@ DEPTH_ENCODINGS: dict[str, type[np.uint16] | type[np.float32]] = {
 DEPTH_HEADER = struct.Struct("<iff")  # of compressedDepth: format, and a, b in depth = a / (value - b)
 
 
+def is_deep(message: Any) -> bool:
+    """Whether an image, raw or compressed, says that it is depth."""
+    return "compressedDepth" in message.format if hasattr(message, "format") else message.encoding in DEPTH_ENCODINGS
+
+
 def color_image(message: Any, where: str) -> NDArray[np.uint8]:
     """(H, W, 3) blue, green, red of an Image or CompressedImage. Raises IdRgbdoError for one that is none."""
     if not hasattr(message, "encoding"):

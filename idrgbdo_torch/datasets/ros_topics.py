@@ -30,6 +30,7 @@ class Topic(Generic[T]):
     raw: bool  # rather than compressed
     filled: bool  # there is a message that is more than a header
     connection: T
+    deep: bool = False  # what is in its messages is depth
 
     @property
     def camera(self) -> tuple[str, ...]:
@@ -50,8 +51,13 @@ def choose_topics(
     is registered to colour goes first. Raises IdRgbdoError, listing what is there, where a topic is missing or it
     cannot be told which belong together.
     """
+    unnamed = []  # as where the name is damaged
+    if depth is None and not any(_is_depth(topic) for topic in topics):
+        unnamed = [topic for topic in topics if topic.deep and _is_color(topic) and topic.name != color]
+    topics = [topic for topic in topics if topic not in unnamed]
     colors = _candidates(topics, "color", color, where)
-    depths = _candidates(topics, "depth", depth, where)
+    depths = unnamed or _candidates(topics, "depth", depth, where)
+    said = tuple(f"no topic is called depth; by what is in it, {topic.name} is" for topic in unnamed)
     pairs = [(c, d) for c in colors for d in depths if c.camera == d.camera]
     if not pairs and len({c.camera for c in colors}) == 1 == len({d.camera for d in depths}):
         # one camera each, whatever they are called; unless another topic shows that they are two
@@ -68,12 +74,17 @@ def choose_topics(
     best = min(pairs, key=lambda pair: (not _registered(*pair), _order_depth(pair[1]), _order_color(pair[0])))
     others = sorted({f"{c.name} with {d.name}" for c, d in pairs if c.camera != best[0].camera})
     if not others:
-        return *best, ()
+        return *best, said
     warning = (
         f"the recording has several cameras; {best[0].name} is read with {best[1].name}; others: {', '.join(others)}: "
         "choose with --color-topic"
     )
-    return *best, (warning,)
+    return *best, (*said, warning)
+
+
+def namespace_of(topic: str) -> str:
+    """What a topic of images and that of their camera_info have in common."""
+    return re.sub(r"/(compressed|compressedDepth)$", "", topic).rsplit("/", 1)[0]
 
 
 def _candidates(topics: Sequence[Topic[T]], kind: str, name: str | None, where: str) -> list[Topic[T]]:
@@ -81,9 +92,7 @@ def _candidates(topics: Sequence[Topic[T]], kind: str, name: str | None, where: 
     if name is not None:
         found = [topic for topic in topics if topic.name == name]
     elif kind == "depth":
-        found = sorted(
-            (t for t in topics if "depth" in t.name.lower() and not TO_DEPTH.search(t.name)), key=_order_depth
-        )
+        found = sorted(filter(_is_depth, topics), key=_order_depth)
     else:
         found = sorted(filter(_is_color, topics), key=_order_color)
     if not found:
@@ -98,6 +107,10 @@ def _candidates(topics: Sequence[Topic[T]], kind: str, name: str | None, where: 
             f"one with --{kind}-topic"
         )
     return filled
+
+
+def _is_depth(topic: Topic[T]) -> bool:
+    return "depth" in topic.name.lower() and not TO_DEPTH.search(topic.name)
 
 
 def _is_color(topic: Topic[T]) -> bool:

@@ -6,6 +6,7 @@ import hashlib
 import http
 import http.client
 import json
+import os
 import queue
 import re
 import threading
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import IdRgbdoError
+from ..text.files import MOST_SETTINGS, MOST_TEXT, open_plain, plain_bytes, plain_descriptor
 
 CHUNK = 1 << 20  # bytes
 TIMEOUT_S = 60.0  # without a byte
@@ -115,10 +117,12 @@ def _receive(url: str, part: Path, note: Path, most_bytes: int | None, on_bytes:
         _check_size(url, total or 0, most_bytes, part)
         tag = response.headers.get("ETag", "")
         version = tag if tag.startswith('"') else response.headers.get("Last-Modified", "")  # a weak tag won't do
+        note.unlink(missing_ok=True)  # what has that name may be a pipe
         note.write_text(json.dumps({"version": version}), encoding="utf-8")
         done = have if resumed else 0
         begin, before = time.monotonic(), done
-        with part.open("ab" if resumed else "wb") as file:
+        flags = os.O_WRONLY | os.O_CREAT | (os.O_APPEND if resumed else os.O_TRUNC)
+        with os.fdopen(plain_descriptor(part, flags), "ab" if resumed else "wb") as file:
             on_bytes(done, total)
             while chunk := _read_some(response):  # a drop raises here, what came before is in the file
                 file.write(chunk)
@@ -190,7 +194,7 @@ def _range_of(response: Any) -> tuple[int, int | None]:
 def _read_note(note: Path) -> str:
     """The version of the file that is there in part; empty where that is not known."""
     try:
-        known = json.loads(note.read_text(encoding="utf-8"))
+        known = json.loads(plain_bytes(note, MOST_SETTINGS))
         version = known["version"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return ""
@@ -199,7 +203,7 @@ def _read_note(note: Path) -> str:
 
 def sha256_of(path: Path) -> str:
     """The SHA-256 of a file, in hexadecimal."""
-    with path.open("rb") as file:
+    with open_plain(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -211,7 +215,8 @@ def check_sum(path: Path, sums: Path) -> str:
     """
     try:
         found = sha256_of(path)
-        lines = sums.read_text(encoding="utf-8", errors="surrogateescape").splitlines() if sums.exists() else []
+        text = plain_bytes(sums, MOST_TEXT).decode("utf-8", "surrogateescape") if sums.exists() else ""
+        lines = text.splitlines()
     except OSError as error:
         raise IdRgbdoError(f"download: cannot read '{error.filename}': {error.strerror}; remove it") from error
     recorded = {name.lstrip("*"): value for value, _, name in (line.partition("  ") for line in lines)}

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import colorsys
+from contextlib import suppress
 
 from ..comparison import Comparison
 from ..comparison.table import LEGEND, Table, best_cells, provenance, tables
+from ..errors import IdRgbdoError
+from ..text.files import read_text
 from . import figures, series
 from .figures import Line
 from .page import Section, figure, page, pair, preformatted, table, tiles
@@ -112,7 +115,8 @@ def _descriptions(comparison: Comparison) -> str:
     runs = {outcome.method: outcome for outcome in comparison.outcomes}
     html = table(("method", "what it is"), tuple((name, run.description) for name, run in runs.items()))
     for name, run in runs.items():
-        config = comparison.folder / run.folder / "config.toml"
-        text = config.read_text(encoding="utf-8").strip() if config.exists() else ""
+        text = ""
+        with suppress(IdRgbdoError):  # there is none, or it is no text
+            text = read_text(comparison.folder / run.folder / "config.toml").strip()
         html += preformatted(text, name) if text else ""
     return html

@@ -162,6 +162,7 @@ class Checkpoints:
         tree, numbers = self._codec.write((state.odometry, state.records, state.extras, state.camera), self._rows.keep)
         text = json.dumps({"identity": asdict(self._identity), "rows": self._rows.path.name, **tree}).encode()
         digest = hashlib.sha256()
+        path.unlink(missing_ok=True)  # what has that name may be a pipe
         with path.open("wb") as file:
             for piece in (MAGIC, len(text).to_bytes(COUNT_BYTES, "big"), text, *numbers):
                 digest.update(piece)

@@ -61,7 +61,7 @@ class RunFolder:
             path.mkdir(parents=True, exist_ok=True)
             self._lock = lock(path)
             _clear(path, resumed)
-            (path / "config.toml").write_text(config_toml, encoding="utf-8", errors="backslashreplace")
+            write_whole(path / "config.toml", config_toml)
             self._trajectory, self._keyframes, self._frames = self._files = [
                 Lines(path / name) for name in ("trajectory.txt", "keyframes.txt", "frames.csv")
             ]

@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 from ..errors import IdRgbdoError
+from ..text.files import plain_descriptor
 
 
 def cannot_write(path: Path, error: OSError) -> IdRgbdoError:
@@ -30,6 +31,7 @@ def write_whole(path: Path, content: str | bytes, make_folder: bool = False) -> 
     try:
         if make_folder:
             path.parent.mkdir(parents=True, exist_ok=True)
+        part.unlink(missing_ok=True)  # what has that name may be a pipe
         part.write_bytes(data)
         part.replace(path)
     except OSError as error:
@@ -44,7 +46,8 @@ class Lines:
     def __init__(self, path: Path) -> None:
         """Begin the file anew. Raises OSError where that fails."""
         self.path = path
-        self._file = path.open("wb", buffering=0)
+        begin_anew = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
+        self._file = os.fdopen(plain_descriptor(path, begin_anew), "wb", buffering=0)
         self.size = 0  # bytes that are there whole
 
     def append(self, text: str) -> None:

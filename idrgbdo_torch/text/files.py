@@ -9,6 +9,7 @@ from __future__ import annotations
 import codecs
 import csv
 import errno
+import io
 import json
 import os
 import stat
@@ -43,22 +44,35 @@ def read_bytes(path: Path, most: int, topic: str = "file", advice: str = "replac
 
 def plain_bytes(path: Path, most: int) -> bytes:
     """As read_bytes, but raises OSError, whose strerror is the reason."""
+    file = plain_descriptor(path)
     try:
-        file = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0))
-    except ValueError as error:
-        raise OSError(errno.EINVAL, "no file can have that name") from error  # of a NUL in it
-    try:
-        about = os.fstat(file)
-        if not stat.S_ISREG(about.st_mode):
-            raise OSError(errno.EINVAL, f"it is {_kind(about.st_mode)}, no file")
-        if about.st_size > most:
-            raise OSError(errno.EFBIG, f"it has {about.st_size / (1 << 20):.1f} MB, more than {most >> 20} MB")
-        parts = [os.read(file, about.st_size)]  # one call for nearly all: each gives up Python's lock
-        while parts[-1] and sum(map(len, parts)) < about.st_size:
-            parts.append(os.read(file, about.st_size - sum(map(len, parts))))
+        size = os.fstat(file).st_size
+        if size > most:
+            raise OSError(errno.EFBIG, f"it has {size / (1 << 20):.1f} MB, more than {most >> 20} MB")
+        parts = [os.read(file, size)]  # one call for nearly all: each gives up Python's lock
+        while parts[-1] and sum(map(len, parts)) < size:
+            parts.append(os.read(file, size - sum(map(len, parts))))
     finally:
         os.close(file)
     return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+def open_plain(path: Path) -> io.BufferedReader:
+    """A plain file, open for reading. Raises OSError, whose strerror is the reason, and never waits for a pipe."""
+    return os.fdopen(plain_descriptor(path), "rb")
+
+
+def plain_descriptor(path: Path, flags: int = os.O_RDONLY) -> int:
+    """The number of a plain file, opened with `flags`. Raises OSError as open_plain, also for a pipe to write into."""
+    try:
+        file = os.open(path, flags | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
+    except ValueError as error:
+        raise OSError(errno.EINVAL, "no file can have that name") from error  # of a NUL in it
+    mode = os.fstat(file).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(file)
+        raise OSError(errno.EINVAL, f"it is {_kind(mode)}, no file", str(path))
+    return file
 
 
 def is_plain_file(path: Path) -> bool:

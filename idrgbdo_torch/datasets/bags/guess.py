@@ -1,32 +1,59 @@
-"""Topics by what is in their messages, for recordings of which the list of topics is lost."""
+"""Topics by what is in their messages, for recordings of which the list of topics is lost or damaged."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container, Iterable
 from itertools import islice
 from typing import Any
 
 from ..bag_files import damage
 from ..ros_images import COLOR_ENCODINGS, DEPTH_ENCODINGS
-from .storage import Storage
+from .storage import NAME, Storage
 
 IMAGE, COMPRESSED, INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
 LOOK_AT = 5  # messages, of which some may be damaged
+LEAST = 3  # of them that are images, so that a topic is believed that nothing names
 MOST_GUESSED = 1000  # topics
 
 
-def guessed_topics(storage: Storage, deserialize: Callable[[bytes, str], Any]) -> dict[int, tuple[str, str]]:
-    """Name and type of each channel with images or calibrations: /color/image_raw, /depth/image_raw and the like.
+Deserialize = Callable[[bytes, str], Any]
+Content = tuple[str, str, Any]  # color, depth or info; type; a message
 
-    Further topics of a kind have a number. A calibration belongs to the colour images of the same frame and size.
+
+def complete(storage: Storage, deserialize: Deserialize, types: Container[str]) -> str:
+    """Tell the topics whose name or type is lost, or is none of `types`, and say which; empty where there are none.
+
+    What can be read of a name stays. A few messages of no topic, as damage leaves them, make none.
     """
-    told: dict[int, tuple[str, str, Any]] = {}  # kind of content, type, a message
-    for channel in sorted(storage.topics)[:MOST_GUESSED]:
-        for _, data in islice(storage.messages([channel]), LOOK_AT):
-            found = _kind(data, deserialize)
-            if found is not None:
-                told[channel] = found
-                break
+    if not any(name for name, _ in storage.topics.values()):
+        storage.topics = guessed_topics(storage, deserialize, storage.topics)
+        names = ", ".join(sorted({name for name, _ in storage.topics.values()}))
+        return f"the names of the topics are lost; by what is in them they are {names}" if storage.topics else ""
+    claimed = {channel for channel, _, _ in storage.other_names}
+    lost = {channel for channel, (_, kind) in storage.topics.items() if kind not in types} - claimed
+    guessed = guessed_topics(storage, deserialize, lost)
+    guessed |= guessed_topics(storage, deserialize, storage.nameless() - claimed, LEAST)
+    for channel, (name, kind) in guessed.items():
+        own, _ = storage.topics.get(channel, ("", ""))
+        storage.topics[channel] = own if NAME.fullmatch(own) else name, kind
+    names = ", ".join(sorted(storage.topics[channel][0] for channel in guessed))
+    return f"topics whose name or type is lost are images or calibrations by what is in them: {names}" if names else ""
+
+
+def guessed_topics(
+    storage: Storage, deserialize: Deserialize, channels: Iterable[int], least: int = 1
+) -> dict[int, tuple[str, str]]:
+    """Name and type of each of the channels with images or calibrations: /color/image_raw, /depth/image_raw and so on.
+
+    least: of the first messages that must be images. Further topics of a kind have a number. A calibration belongs to
+    the colour images of the same frame and size.
+    """
+    told: dict[int, Content] = {}
+    for channel in sorted(channels)[:MOST_GUESSED]:
+        messages = islice(storage.messages([channel]), LOOK_AT)
+        found = [content for _, data in messages if (content := _kind(data, deserialize)) is not None]
+        if found and (len(found) >= least or found[0][0] == "info"):
+            told[channel] = found[0]
     names: dict[int, tuple[str, str]] = {}
     cameras: dict[tuple[str, int, int], str] = {}  # prefix by the frame of the header, and the size
     for kind in ("color", "depth"):
@@ -46,7 +73,7 @@ def guessed_topics(storage: Storage, deserialize: Callable[[bytes, str], Any]) -
     return names
 
 
-def _kind(data: bytes, deserialize: Callable[[bytes, str], Any]) -> tuple[str, str, Any] | None:
+def _kind(data: bytes, deserialize: Deserialize) -> Content | None:
     """What a message holds, where that can be told beyond doubt."""
     for msgtype in (IMAGE, COMPRESSED, INFO):
         try:

@@ -119,6 +119,7 @@ class McapStorage(ChunkedStorage):
                 kind = _text(data, 2)[0]
                 self._types[number] = kind if kind in READ else self._types.get(number, kind)
             else:
+                self.declared.add(number)
                 topic, encoding_at = _text(data, 4)
                 if _text(data, encoding_at)[0] == "cdr":
                     self.name(number, topic, self._types.get(int.from_bytes(data[2:4], "little"), ""))

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from ...errors import IdRgbdoError
-from ...text.files import is_named, read_text
+from ...text.files import is_named, open_plain, read_text
 from ..bag_files import MOST_METADATA, damage
-from .guess import guessed_topics
+from .guess import complete
 from .mcap import McapStorage
 from .ros1 import Ros1Storage
 from .sqlite import SqliteStorage
@@ -47,6 +47,7 @@ class Reader:
         # damaged, or something else
         store = get_typestore(Stores.ROS2_HUMBLE if self.is2 else Stores.ROS1_NOETIC)
         self._deserialize: Callable[[bytes, str], Any] = store.deserialize_cdr if self.is2 else store.deserialize_ros1
+        self._types: Container[str] = store.types
         self.notes: list[str] = []
         self._unpacked = TemporaryDirectory() if path.is_dir() else None
         self._storages: list[Storage] = []
@@ -69,10 +70,8 @@ class Reader:
         if not self._storages:
             raise ValueError("; ".join(self._lost) or "there is no .mcap or .db3 file in it")
         for storage in self._storages:
-            if storage.topics and not any(name for name, _ in storage.topics.values()):
-                storage.topics = guessed_topics(storage, self.deserialize)
-                names = ", ".join(sorted({name for name, _ in storage.topics.values()}))
-                self.notes.append(f"the names of the topics are lost; by what is in them they are {names}")
+            note = complete(storage, self.deserialize, self._types)
+            self.notes += [note] if note else []
             channels: dict[Connection, list[int]] = {}
             named = {*((number, *about) for number, about in storage.topics.items()), *storage.other_names}
             for number, *about in sorted(named):
@@ -112,6 +111,7 @@ class Reader:
             damaged = unpacked_file(file, target)
             self._lost += [f"'{file.name}' can be unpacked in part: {damaged}"] if damaged else []
             file = target
+        open_plain(file).close()  # SQLite would wait for a pipe
         return STORAGES[file.suffix](file)
 
     @property

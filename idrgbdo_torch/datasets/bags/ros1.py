@@ -133,6 +133,7 @@ class Ros1Storage(ChunkedStorage):
             topic = re.sub("/+", "/", name.decode("utf-8", "replace"))
             package, _, message = kind.decode("utf-8", "replace").rpartition("/")
             number = int.from_bytes(record.head[b"conn"], "little")
+            self.declared.add(number)
             self.name(number, topic, f"{package.removesuffix('/msg')}/msg/{message}" if kind else "")
 
     def message(self, source: Source, record: Record) -> Message | None:

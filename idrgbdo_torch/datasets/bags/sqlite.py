@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sqlite3
+from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -61,7 +62,7 @@ class SqliteStorage(Storage):
         topics = database.execute("SELECT id, name, type FROM topics").fetchmany(MOST_TOPICS)
         most = self._path.stat().st_size // LEAST_ROW
         rows = database.execute(
-            "SELECT id, topic_id, timestamp FROM messages WHERE typeof(topic_id) = 'integer' AND "
+            "SELECT id, topic_id, timestamp FROM messages NOT INDEXED WHERE typeof(topic_id) = 'integer' AND "
             "typeof(timestamp) = 'integer'"
         ).fetchmany(most + 1)
         if len(rows) > most:
@@ -70,11 +71,17 @@ class SqliteStorage(Storage):
         database.set_progress_handler(None, 0)
         if count != len(rows):  # as where a page has become another one, or rows are none
             raise sqlite3.DatabaseError(f"{len(rows)} of its {count} rows are messages")
-        self.topics = {number: (str(name), str(kind)) for number, name, kind in topics if isinstance(number, int)}
+        numbers = np.array([number for number, *_ in rows], np.int64)
+        if (numbers[1:] <= numbers[:-1]).any():  # as where a page is there twice, once instead of another
+            raise sqlite3.DatabaseError("the numbers of its rows are in disorder")
+        numbered = Counter(number for number, *_ in topics if isinstance(number, int))
+        twice = {number for number, count in numbered.items() if count > 1}  # as where a number is another
+        once = set(numbered) - twice
+        self.topics = {number: (str(name), str(kind)) for number, name, kind in topics if number in once}
         self._take(rows)
-        missing = {topic for _, topic, _ in rows} - set(self.topics)
+        missing = self.nameless()
         if missing:
-            again = {number: about for number, about in self._found().topics.items() if number in missing}
+            again = {key: about for key, about in self._found().topics.items() if key in missing - twice}
             self.topics |= again
             self.note_damage(0, f"{len(missing)} rows of topics, {len(again)} of which were found again")
         strange = sum(topic not in self.topics for _, topic, _ in rows)
@@ -98,6 +105,10 @@ class SqliteStorage(Storage):
         numbers = self._rows[:, 0]
         gone = int(np.ptp(numbers)) + 1 - len(numbers) if len(numbers) else 0
         self.note_damage(0, f"{reason}; {len(numbers)} rows are left, {max(gone, 0)} between them are gone")
+
+    def nameless(self) -> set[int]:
+        """See Storage."""
+        return set(np.unique(self._rows[:, 1]).tolist()) - set(self.topics)
 
     def _found(self) -> Pages:
         if self._pages is None:

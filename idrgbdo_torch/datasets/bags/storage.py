@@ -53,6 +53,10 @@ class Storage(ABC):
         """
 
     @abstractmethod
+    def nameless(self) -> set[int]:
+        """Channels with messages of which nothing is known."""
+
+    @abstractmethod
     def close(self) -> None:
         """Let the file go."""
 
@@ -90,6 +94,7 @@ class ChunkedStorage(Storage):
     def __init__(self, path: Path) -> None:
         super().__init__()
         self.chunks: list[Chunk] = []
+        self.declared: set[int] = set()  # channels of which a record tells anything, though it be of no use
         self.said = 0  # chunks that there are by the index
         self._source = FileSource(path)
         self._effort = Effort()  # for what is damaged in chunks
@@ -112,8 +117,10 @@ class ChunkedStorage(Storage):
         known = {channel for channel, (_, kind) in self.topics.items() if kind}
         if self.damaged or any(chunk.channels is None or not chunk.channels <= known for chunk in self.chunks):
             self._learn(self.chunks)
+        if self.topics and (strange := self.nameless() - self.declared):
+            self.note_damage(self._source.size, f"messages of {len(strange)} topics that nothing names")
         if not self.topics:  # their names are for the reader to guess
-            self.topics = {channel: ("", "") for chunk in self.chunks for channel in chunk.channels or ()}
+            self.topics = dict.fromkeys(self.nameless(), ("", ""))
         if not self.topics:
             raise ValueError("there are no messages in it")
 
@@ -170,6 +177,9 @@ class ChunkedStorage(Storage):
             for channel, time, begin, end in found:
                 if channel in channels and first <= time <= last:
                     yield time, bytes(memoryview(content)[begin:end])
+
+    def nameless(self) -> set[int]:
+        return {channel for chunk in self.chunks for channel in chunk.channels or ()} - set(self.topics)
 
     def _read(self, number: int) -> tuple[bytes | bytearray, list[Message]]:
         """The content of a chunk and the messages in it; none where it is damaged."""

@@ -7,6 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from ...text.files import open_plain
 from ..bag_files import damage
 
 MOST_UNPACKED = 256 << 20  # bytes of a chunk or a message; the largest image of a camera is 50 MB, usual chunks 1 to 4
@@ -55,7 +56,7 @@ def unpacked_file(packed: Path, target: Path) -> str:
     """
     most = MOST_RATIO * packed.stat().st_size + SLACK
     decompressor = _decompressor("zstd")
-    with packed.open("rb") as source, target.open("xb") as file:
+    with open_plain(packed) as source, target.open("xb") as file:
         while not decompressor.eof:
             data = source.read(SMALL_STEP) if decompressor.needs_input else b""
             if decompressor.needs_input and not data:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+from ...text.files import open_plain
+
 WINDOW = 1 << 20  # bytes that are searched at a time
 OVERLAP = 64  # bytes of a pattern at most
 MOST_SEARCHED = 512 << 20  # bytes without any record, in all, before the rest counts as none
@@ -49,7 +51,7 @@ class FileSource:
     """A file."""
 
     def __init__(self, path: Path) -> None:
-        self._file = path.open("rb")
+        self._file = open_plain(path)
         self.size = self._file.seek(0, 2)
 
     def read(self, position: int, count: int) -> bytes:
