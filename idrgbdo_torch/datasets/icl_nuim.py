@@ -103,7 +103,8 @@ def _read_povray(folder: Path, calibration: Calibration) -> Recording:
 def _read_ray_depth(path: Path, height: int, width: int) -> NDArray[np.float32]:
     """(H, W) metres from the camera's centre to the surface."""
     data = read_bytes(path, MOST_BYTES, "image", "download it again")
-    with damage_named(str(path), "the depth of each pixel", "download it again"):
+    of_pixels = damage_named(str(path), "the depth of each pixel", "download it again")
+    with of_pixels, np.errstate(over="ignore"):  # infinity is unknown depth
         numbers = np.array(data.split(maxsplit=MOST_PIXELS), dtype=np.float32)
     if len(numbers) != height * width:
         raise IdRgbdoError(f"{path}: expected {height * width} numbers, got {len(numbers)}; download it again")

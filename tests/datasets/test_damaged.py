@@ -354,3 +354,15 @@ def test_metadata_that_is_none_costs_a_line(text: str, tmp_path: Path) -> None:
         sequence = open_sequence(recording)
         assert all(isinstance(frame, RgbdFrame) for frame in sequence) and len(sequence) == recorded.FRAMES
     assert any(str(recording / "metadata.yaml") in warning for warning in sequence.warnings)
+
+
+def test_a_distance_of_any_size_is_unknown_depth(tmp_path: Path) -> None:
+    """POV-Ray's text may hold numbers that no float32 can."""
+    files = recorded.folder_of("icl_povray")
+    name = next(name for name in files if name.endswith("2.depth"))
+    words = files[name].split()
+    words[70] = b"1e300"
+    with np.errstate(all="raise"):
+        frames = list(open_sequence(recorded.write({**files, name: b" ".join(words)}, tmp_path)))
+    depth = [frame.depth for frame in frames if isinstance(frame, RgbdFrame)]
+    assert len(depth) == recorded.FRAMES and float(depth[2][1, 6]) == 0 and int((depth[2] == 0).sum()) == 1

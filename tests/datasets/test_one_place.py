@@ -6,6 +6,7 @@ import sqlite3
 import struct
 from pathlib import Path
 
+import bag_writer
 import cv2
 import mcap_writer
 import numpy as np
@@ -222,3 +223,68 @@ def test_a_root_that_has_become_another_page_costs_nothing(tmp_path: Path) -> No
     leaf = next(at for at in range(6 * PAGE, len(data), PAGE) if data[at] == 13)
     bad = data[: 5 * PAGE] + data[leaf : leaf + PAGE] + data[6 * PAGE :]
     assert data[5 * PAGE] == 5 and sound({name: bad}, tmp_path)[0] == list(range(FRAMES))
+
+
+TOPICS = (
+    ("/camera/aligned_depth_to_color/image_raw", "sensor_msgs/msg/Image"),
+    ("/camera/color/image_raw", "sensor_msgs/msg/Image"),
+    ("/camera/color/camera_info", "sensor_msgs/msg/CameraInfo"),
+)
+
+
+@pytest.mark.parametrize(("topic", "kind"), TOPICS)
+def test_no_byte_of_a_topic_costs_it(topic: str, kind: str, tmp_path: Path) -> None:
+    """Its name, its type, its number: what is in its messages tells what it is, and the camera is the same one."""
+    name, data = database()
+    begin = data.index(f"{topic}{kind}".encode())
+    camera = open_sequence(recorded.write({name: data}, tmp_path)).camera
+    for at in range(begin - 9, begin + len(topic) + len(kind), 5):
+        for byte in (data[at] ^ 1, data[at] ^ 128):
+            bad = data[:at] + bytes([byte]) + data[at + 1 :]
+            assert sound({name: bad}, tmp_path)[0] == list(range(FRAMES)), f"byte {at - begin}"
+            assert open_sequence(tmp_path / "made").camera == camera
+
+
+def test_a_topic_of_another_type_keeps_its_name(tmp_path: Path) -> None:
+    name, data = database()
+    topic = b"/camera/aligned_depth_to_color/image_raw"
+    at = data.index(topic + b"sensor_msgs/msg/Image") + len(topic) + 5
+    bad = data[:at] + b"n" + data[at + 1 :]
+    found, warnings = sound({name: bad}, tmp_path)
+    assert found == list(range(FRAMES))
+    assert warnings[1:] == [  # the first one is of metadata.yaml
+        "topics whose name or type is lost are images or calibrations by what is in them: "
+        "/camera/aligned_depth_to_color/image_raw"
+    ]
+
+
+def test_a_page_that_has_become_another_one_of_rows_is_said(tmp_path: Path) -> None:
+    name, data = database()
+    leaves = [at for at in range(8 * PAGE, len(data), PAGE) if data[at] == 13 and data[at + 4] >= 2]
+    assert len(leaves) >= 3
+    for begin in leaves:
+        for other in leaves:
+            if other != begin:
+                bad = data[:begin] + data[other : other + PAGE] + data[begin + PAGE :]
+                found, warnings = sound({name: bad}, tmp_path)
+                assert len(found) >= FRAMES - structures.LOST
+                assert len(found) == FRAMES or any("left out" in warning for warning in warnings)
+
+
+def test_an_image_that_is_astray_is_said(tmp_path: Path) -> None:
+    """A message of a topic that nothing names, of the topic of the other images, or with a time of another day."""
+    data = recorded.bag_of("mcap recorder no chunks")["made.mcap"]
+    messages = [begin for kind, begin, _ in mcap_writer.places(data) if kind == mcap_writer.MESSAGE]
+    for number in (0, 1, 9, 10, 3 * FRAMES - 3):
+        at = messages[number]
+        for place, value in ((at + 9, b"\x07"), (at + 9, bytes([3 - data[at + 9]])), (at + 9 + 22 + 5, b"\x11")):
+            found, warnings = sound({"made.mcap": data[:place] + value + data[place + 1 :]}, tmp_path)
+            assert found == [frame for frame in range(FRAMES) if frame != number // 3]
+            assert any("1 damaged images" in warning and "left out" in warning for warning in warnings)
+
+
+def test_depth_of_any_name_is_told_by_what_is_in_it(tmp_path: Path) -> None:
+    topics = ("/left/image_raw", "/left/image_range")
+    sequence = open_sequence(bag_writer.write_bag(recorded.film(), tmp_path / "a.bag", topics=topics))
+    assert sum(isinstance(frame, RgbdFrame) for frame in sequence) == FRAMES
+    assert "no topic is called depth; by what is in it, /left/image_range is" in sequence.warnings
