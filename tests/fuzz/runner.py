@@ -29,7 +29,9 @@ ATTACKS: Mapping[str, Attack] = {
     "strange folder": Attack(readers.strange_folder, ready=readers.ready),
     "bags": Attack(readers.bags, ready=readers.ready),
     "inner places": Attack(structures.inner, ready=readers.ready),
-    "bombs": Attack(structures.bomb, every=10, ready=readers.ready),
+    "bombs": Attack(
+        structures.bomb, every=10, most_s=60, ready=readers.ready
+    ),  # most of it makes them; reading has 10 s
     "camera files": Attack(readers.camera_files),
     "settings": Attack(readers.settings),
     "poses": Attack(readers.poses),
