@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable
+from collections.abc import Callable, Container, Mapping
 from itertools import islice
 from typing import Any
 
@@ -26,33 +26,32 @@ def complete(storage: Storage, deserialize: Deserialize, types: Container[str]) 
     What can be read of a name stays. A few messages of no topic, as damage leaves them, make none.
     """
     if not any(name for name, _ in storage.topics.values()):
-        storage.topics = guessed_topics(storage, deserialize, storage.topics)
+        storage.topics = guessed_topics(storage, deserialize, dict.fromkeys(storage.topics, 1))
         names = ", ".join(sorted({name for name, _ in storage.topics.values()}))
         return f"the names of the topics are lost; by what is in them they are {names}" if storage.topics else ""
     claimed = {channel for channel, _, _ in storage.other_names}
     lost = {channel for channel, (_, kind) in storage.topics.items() if kind not in types} - claimed
-    guessed = guessed_topics(storage, deserialize, lost)
-    guessed |= guessed_topics(storage, deserialize, storage.nameless() - claimed, LEAST)
+    least = dict.fromkeys(lost, 1) | dict.fromkeys(storage.nameless() - claimed, LEAST)
+    guessed = guessed_topics(storage, deserialize, least)
     for channel, (name, kind) in guessed.items():
         own, _ = storage.topics.get(channel, ("", ""))
-        storage.topics[channel] = own if NAME.fullmatch(own) else name, kind
+        readable = NAME.fullmatch(own) and own not in types  # which is what another table has there
+        storage.topics[channel] = own if readable else name, kind
     names = ", ".join(sorted(storage.topics[channel][0] for channel in guessed))
     return f"topics whose name or type is lost are images or calibrations by what is in them: {names}" if names else ""
 
 
-def guessed_topics(
-    storage: Storage, deserialize: Deserialize, channels: Iterable[int], least: int = 1
-) -> dict[int, tuple[str, str]]:
+def guessed_topics(storage: Storage, deserialize: Deserialize, least: Mapping[int, int]) -> dict[int, tuple[str, str]]:
     """Name and type of each of the channels with images or calibrations: /color/image_raw, /depth/image_raw and so on.
 
-    least: of the first messages that must be images. Further topics of a kind have a number. A calibration belongs to
-    the colour images of the same frame and size.
+    least: how many of a channel's first messages must be images, for each channel to be looked at. Further topics of a
+    kind have a number. A calibration belongs to the colour images of the same frame and size.
     """
     told: dict[int, Content] = {}
-    for channel in sorted(channels)[:MOST_GUESSED]:
+    for channel in sorted(least)[:MOST_GUESSED]:
         messages = islice(storage.messages([channel]), LOOK_AT)
         found = [content for _, data in messages if (content := _kind(data, deserialize)) is not None]
-        if found and (len(found) >= least or found[0][0] == "info"):
+        if found and (len(found) >= least[channel] or found[0][0] == "info"):
             told[channel] = found[0]
     names: dict[int, tuple[str, str]] = {}
     cameras: dict[tuple[str, int, int], str] = {}  # prefix by the frame of the header, and the size
