@@ -18,7 +18,7 @@ from .builder import RawPair
 from .images import IMAGE_SUFFIXES, read_color, read_depth
 
 FPS = 30.0  # where nothing tells the times
-ODD_S = 1.0  # that a time may differ from what is usual
+LEAST_OFF_S, ODD = 0.01, 10  # a time is odd that is so far, and so many times as far as usual, from that of recording
 MOST_ALONE = 0.1  # of the images of a kind; where more have no partner, something is wrong
 
 T = TypeVar("T")
@@ -115,7 +115,8 @@ def out_of_time(
     images: each a time and a stamp, of which the second number is the time of recording.
     """
     apart = np.array([time - recorded / 1e9 for time, (_, recorded) in images])
-    odd = np.flatnonzero(np.abs(apart - np.median(apart)) > ODD_S)
+    off = np.abs(apart - np.median(apart))
+    odd = np.flatnonzero(off > max(LEAST_OFF_S, ODD * float(np.median(off))))
     return [images[place][1] for place in odd.tolist() if images[place][1] not in paired]
 
 

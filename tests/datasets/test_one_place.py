@@ -273,12 +273,17 @@ def test_a_page_that_has_become_another_one_is_said(tmp_path: Path) -> None:
 
 
 def test_an_image_that_is_astray_is_said(tmp_path: Path) -> None:
-    """A message of a topic that nothing names, of the topic of the other images, or with a time of another day."""
+    """A message of a topic that nothing names, of the topic of the other images, or with another time."""
     data = recorded.bag_of("mcap recorder no chunks")["made.mcap"]
     messages = [begin for kind, begin, _ in mcap_writer.places(data) if kind == mcap_writer.MESSAGE]
     for number in (0, 1, 9, 10, 3 * FRAMES - 3):
         at = messages[number]
-        for place, value in ((at + 9, b"\x07"), (at + 9, bytes([3 - data[at + 9]])), (at + 9 + 22 + 5, b"\x11")):
+        for place, value in (
+            (at + 9, b"\x07"),
+            (at + 9, bytes([3 - data[at + 9]])),
+            (at + 9 + 22 + 5, b"\x11"),
+            (at + 9 + 22 + 11, bytes([data[at + 9 + 22 + 11] ^ 16])),  # 0.27 s
+        ):
             found, warnings = sound({"made.mcap": data[:place] + value + data[place + 1 :]}, tmp_path)
             assert found == [frame for frame in range(FRAMES) if frame != number // 3]
             assert any("1 damaged images" in warning and "left out" in warning for warning in warnings)
