@@ -294,3 +294,35 @@ def test_depth_of_any_name_is_told_by_what_is_in_it(tmp_path: Path) -> None:
     sequence = open_sequence(bag_writer.write_bag(recorded.film(), tmp_path / "a.bag", topics=topics))
     assert sum(isinstance(frame, RgbdFrame) for frame in sequence) == FRAMES
     assert "no topic is called depth; by what is in it, /left/image_range is" in sequence.warnings
+
+
+def test_a_name_that_is_another_in_one_of_its_places_is_that_of_the_other_place(tmp_path: Path) -> None:
+    data = recorded.bag_of("mcap recorder no chunks")["made.mcap"]
+    camera = open_sequence(recorded.write({"made.mcap": data}, tmp_path)).camera
+    for name in (b"/camera/color/image_raw", b"/camera/color/camera_info"):
+        assert data.count(name) >= 2
+        for begin in (data.index(name), data.rindex(name)):
+            for at in range(begin, begin + len(name), 5):
+                bad = data[:at] + bytes([data[at] ^ 32]) + data[at + 1 :]
+                assert sound({"made.mcap": bad}, tmp_path)[0] == list(range(FRAMES))
+                assert open_sequence(tmp_path / "made.mcap").camera == camera
+
+
+def test_a_name_that_is_another_in_one_of_the_files_is_that_of_the_others(tmp_path: Path) -> None:
+    messages = mcap_writer.messages(recorded.film())
+    files = {f"made/made_{k}.mcap": mcap_writer.write_mcap(messages[9 * k : 9 * k + 9], "", 0) for k in range(2)}
+    assert sound(files, tmp_path)[0] == list(range(FRAMES))
+    for name in (b"/camera/color/image_raw", b"/camera/aligned_depth_to_color/image_raw", b"/camera/color/camera_info"):
+        for chosen, data in files.items():
+            bad = data.replace(name, name[:9] + b"#" + name[10:])
+            found, warnings = sound({**files, chosen: bad}, tmp_path)
+            assert found == list(range(FRAMES)) and any("of one of the files is taken for" in said for said in warnings)
+
+
+def test_no_byte_of_the_head_of_a_database_costs_anything(tmp_path: Path) -> None:
+    """It tells the size of the pages, and how much of each is used."""
+    name, data = database()
+    for at in range(24):
+        for value in (0, 73, 255):
+            bad = data[:at] + bytes([value, data[at + 1] ^ 12]) + data[at + 2 :]
+            assert sound({name: bad}, tmp_path)[0] == list(range(FRAMES)), f"byte {at}"

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Mapping, Sequence
 from itertools import islice
 from typing import Any
 
 from ..bag_files import damage
 from ..ros_images import COLOR_ENCODINGS, DEPTH_ENCODINGS
+from ..ros_topics import namespace_of
 from .storage import NAME, Storage
 
 IMAGE, COMPRESSED, INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
 LOOK_AT = 5  # messages, of which some may be damaged
+LETTERS = 2  # of a name that damage in one place changes
 LEAST = 3  # of them that are images, so that a topic is believed that nothing names
 MOST_GUESSED = 1000  # topics
 
@@ -39,6 +41,38 @@ def complete(storage: Storage, deserialize: Deserialize, types: Container[str]) 
         storage.topics[channel] = own if readable else name, kind
     names = ", ".join(sorted(storage.topics[channel][0] for channel in guessed))
     return f"topics whose name or type is lost are images or calibrations by what is in them: {names}" if names else ""
+
+
+def unite(storages: Sequence[Storage]) -> list[str]:
+    """Give what has several names, of which one is damaged, the other one; what is to be said of it.
+
+    A channel has two names where two places of its file differ: the one that other files have, or that has topics
+    beside it, is right. Where one topic of one of several files has a name that no other file has, it gets that of the
+    others that differs in a letter or two.
+    """
+    said = []
+    for storage in storages:
+        elsewhere = {about for other in storages if other is not storage for about in other.topics.values()}
+        for channel, name, kind in sorted(claim for claim in storage.other_names if claim[0] in storage.topics):
+            beside = {namespace_of(topic) for key, (topic, _) in storage.topics.items() if key != channel}
+            names = storage.topics[channel], (name, kind)
+            ranks = [(about in elsewhere, namespace_of(about[0]) in beside) for about in names]
+            if ranks[0] != ranks[1] and names[0][1] == kind:
+                storage.topics[channel] = names[ranks[1] > ranks[0]]
+                storage.other_names.discard((channel, name, kind))
+        own = {channel: about for channel, about in storage.topics.items() if about not in elsewhere}
+        for channel, (name, kind) in own.items() if len(own) == 1 < len(storage.topics) else ():
+            missing = sorted(elsewhere - set(storage.topics.values()))
+            alike = [about for about in missing if about[1] == kind and _apart(about[0], name) <= LETTERS]
+            if len(alike) == 1:
+                storage.topics[channel] = alike[0]
+                said.append(f"'{name}' of one of the files is taken for {alike[0][0]} of the others")
+    return said
+
+
+def _apart(a: str, b: str) -> int:
+    """How many letters differ."""
+    return sum(x != y for x, y in zip(a, b, strict=True)) if len(a) == len(b) else max(len(a), len(b))
 
 
 def guessed_topics(storage: Storage, deserialize: Deserialize, least: Mapping[int, int]) -> dict[int, tuple[str, str]]:

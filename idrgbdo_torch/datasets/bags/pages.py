@@ -7,6 +7,7 @@ which what does not fit goes on in a chain of further pages.
 from __future__ import annotations
 
 import re
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,12 +17,13 @@ from .storage import LAST
 from .unpack import MOST_UNPACKED
 from .walk import FileSource
 
-MAGIC = b"SQLite format 3\0"
 USUAL_PAGE = 4096
+PAGES = tuple(1 << k for k in range(9, 17))  # bytes that a page can have
 HEADER = 100  # bytes of the first page that are no page
 LEAF = 13
 WINDOW = 1024  # pages that are read at a time
 MOST_HEAD = 512  # bytes that tell the types of a row's columns
+LOOK_AT = 50  # rows of several pages, most of which must be whole, so that the size of a page is believed
 MOST_ROWS = 20_000_000
 TYPE = re.compile(r"[\w/]+/msg/\w+")
 INTEGERS = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}  # bytes by their type
@@ -45,8 +47,19 @@ class Pages:
 
     def __init__(self, path: Path) -> None:
         self._source = FileSource(path)
-        head = self._source.read(0, HEADER)
-        self._page, self._usable = _sizes(head)
+        found = []
+        for sizes in _sizes(self._source.read(0, HEADER)):
+            self._find(*sizes)
+            long = list(islice((number for number, row in self.rows.items() if row.local < row.length), LOOK_AT))
+            whole = sum(self.data(number) is not None for number in long)
+            found.append((whole, len(self.rows), sizes))
+            if 2 * whole > len(long) or (self.rows and not long):
+                return
+        self._find(*max(found)[-1])
+
+    def _find(self, page: int, usable: int) -> None:
+        """Find all rows by the size of a page, and how much of it is used."""
+        self._page, self._usable = page, usable
         self.topics: dict[int, tuple[str, str]] = {}
         self.rows: dict[int, Row] = {}
         for first in range(0, self._source.size, WINDOW * self._page):
@@ -122,14 +135,14 @@ class Pages:
         self._source.close()
 
 
-def _sizes(head: bytes) -> tuple[int, int]:
-    """Bytes of a page, and those of them that are used; the usual ones where the file's first page is damaged."""
+def _sizes(head: bytes) -> list[tuple[int, int]]:
+    """Bytes of a page, and those of them that are used, by the head of the file, and others, as it may be damaged."""
     size = int.from_bytes(head[16:18])
     size = 1 << 16 if size == 1 else size
     reserved = head[20] if len(head) > 20 else 0
-    if not head.startswith(MAGIC) or size < 512 or size & (size - 1) or size - reserved < 480:
-        return USUAL_PAGE, USUAL_PAGE
-    return size, size - reserved
+    others = [(page, page) for page in (size, USUAL_PAGE, *PAGES)]
+    sizes = [(page, used) for page, used in [(size, size - reserved), *others] if page in PAGES and used >= 480]
+    return list(dict.fromkeys(sizes))
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from ...errors import IdRgbdoError
 from ...text.files import is_named, open_plain, read_text
 from ..bag_files import MOST_METADATA, damage
-from .guess import complete
+from .guess import complete, unite
 from .mcap import McapStorage
 from .ros1 import Ros1Storage
 from .sqlite import SqliteStorage
@@ -72,6 +72,8 @@ class Reader:
         for storage in self._storages:
             note = complete(storage, self.deserialize, self._types)
             self.notes += [note] if note else []
+        self.notes += unite(self._storages)
+        for storage in self._storages:
             channels: dict[Connection, list[int]] = {}
             named = {*((number, *about) for number, about in storage.topics.items()), *storage.other_names}
             for number, *about in sorted(named):
