@@ -45,7 +45,7 @@ def test_no_pipe_in_a_recording_is_waited_for(kind: str, tmp_path: Path) -> None
             if damaged and path.is_dir():
                 (path / "metadata.yaml").unlink(missing_ok=True)
                 (path / "metadata.yaml").symlink_to("metadata.yaml")
-            with limits(1), suppress(IdRgbdoError):  # 12 s of the clock
+            with limits(10), suppress(IdRgbdoError):
                 list(open_sequence(path))
 
 
