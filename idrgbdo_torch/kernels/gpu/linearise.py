@@ -145,8 +145,9 @@ def linearise(pair, images, level, T, a, c, scale, limit, BLOCK: tl.constexpr):
         b += tl.sum(c0 * J_u + c1 * J_v + c2 * J_a + c3 * J_c, axis=0)
         if images[6]:
             mean_weight = tl.sum(weight, axis=1) / PIXELS
+            place = (x, y, rho, iz)
             J, wd, rd, cost = depth_row(
-                pair, images, numbers, J_u, J_v, x, y, rho, iz, var_d / mean_weight, mean_weight, kept
+                pair, images, numbers, (J_u, J_v), place, var_d / mean_weight, mean_weight, kept
             )
             H += outer(J, wd * J)
             b -= tl.sum(wd * rd * J, axis=0)
@@ -191,13 +192,15 @@ def pixel_at(address, there):
 
 
 @triton.jit
-def depth_row(pair, images, numbers, J_u, J_v, x, y, rho, iz, var_d, mean_weight, kept):
+def depth_row(pair, images, numbers, J, place, var_d, mean_weight, kept):
     """J (BLOCK, 8), weight and residual (BLOCK, 1) and the summed cost of measured against warped inverse depth.
 
-    J_u, J_v: those of the pixel of the level. var_d: (BLOCK,) over the mean weight. Where a pixel falls is computed as
-    kernels/equations.py does it: at the start it often lies between four, and they must be the same four.
+    J: of the pixel's u and v on the level; place: (x, y, inverse depth, 1 / z) in the target; var_d: (BLOCK,) over the
+    mean weight. Where a pixel falls is computed as kernels/equations.py does it: at the start it often lies between
+    four, and they must be the same four.
     """
     depth, height, width = images[3], images[4], images[5]
+    x, y, rho, iz = place
     size = tl.load(numbers + 4)
     u = (tl.load(numbers) * x + tl.load(numbers + 2) + 0.5) * size - 0.5  # (BLOCK, 1), level 0
     v = (tl.load(numbers + 1) * y + tl.load(numbers + 3) + 0.5) * size - 0.5
@@ -217,7 +220,7 @@ def depth_row(pair, images, numbers, J_u, J_v, x, y, rho, iz, var_d, mean_weight
     gv = size * tl.where(on, (d10 - d00) + a * ((d11 - d01) - (d10 - d00)), 0.0)
     column = tl.arange(0, 8)[None, :]
     with_depth = tl.where(column == 2, rho * rho, tl.where(column == 3, rho * y, tl.where(column == 4, -rho * x, 0.0)))
-    J = gu * J_u + gv * J_v + with_depth
+    row = gu * J[0] + gv * J[1] + with_depth
     position = tl.load(numbers + 8) * tl.load(numbers + 6) * (gu * gu + gv * gv)
     stretch = (iz * iz)[:, None]
     variance = (tl.load(numbers + 7) + position) / mean_weight[:, None] + stretch * stretch * var_d[:, None]
@@ -228,4 +231,4 @@ def depth_row(pair, images, numbers, J_u, J_v, x, y, rho, iz, var_d, mean_weight
     cost = tl.sum(tl.where(on, m * (2.0 * most - m), 0.0))
     trusted = on & (s <= OTHER_SURFACE * huber)
     weight = tl.where(trusted, huber / tl.maximum(s, huber) / variance, 0.0)
-    return J, weight, r, cost
+    return row, weight, r, cost

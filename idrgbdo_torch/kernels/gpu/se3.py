@@ -23,7 +23,7 @@ def rotation_series(angle2):
 
 @triton.jit
 def retract(v0, v1, v2, x, y, z, T):
-    """Eq. (1). exp([v, (x, y, z)]) T."""
+    """exp([v, (x, y, z)]) T."""
     sinc, versine, cubic = rotation_series(x * x + y * y + z * z)
     R = rotation(x, y, z, sinc, versine)
     V = rotation(x, y, z, versine, cubic)
