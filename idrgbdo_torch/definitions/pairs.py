@@ -96,7 +96,7 @@ def aligned_by_definition(task: PairsTask, gradient_steps: int) -> AlignedPairs:
     with torch.no_grad():
         found = descend(problems, task.prior, task.noise)
     T, a, system = concluded(task.points, problems[0].target, task.noise, found, gradient_steps)
-    return result_of(task, found, T, a, system)
+    return result_of(task, found, T, a, system.H, system.rms, system.kept)
 
 
 def problems_of(task: PairsTask, images: Sequence[Tensor], inverse_depth: Tensor | None) -> list[Problem]:
@@ -107,12 +107,14 @@ def problems_of(task: PairsTask, images: Sequence[Tensor], inverse_depth: Tensor
     ]
 
 
-def result_of(task: PairsTask, found: Estimate, T: Tensor, affine: Tensor, system: NormalEquations) -> AlignedPairs:
-    """What align_pairs says of poses (B, 4, 4), brightness (B, 2) and the measurements' system there."""
-    certain = pose_information(system.H, found.prior.affine_information)
+def result_of(
+    task: PairsTask, found: Estimate, T: Tensor, affine: Tensor, H: Tensor, rms: Tensor, kept: Tensor
+) -> AlignedPairs:
+    """What align_pairs says of poses (B, 4, 4) and brightness (B, 2); H (B, 8, 8), rms and kept (B, N) as there."""
+    certain = pose_information(H, found.prior.affine_information)
     contrast = task.gray.flatten(1).std(-1)
-    ok = usable(T, certain, system.kept) & believable(task.points, contrast, system.rms, affine)
-    return AlignedPairs(T, affine, certain, system.rms, system.kept, found.iterations, ok)
+    ok = usable(T, certain, kept) & believable(task.points, contrast, rms, affine)
+    return AlignedPairs(T, affine, certain, rms, kept, found.iterations, ok)
 
 
 def usable(T: Tensor, information: Tensor, kept: Tensor) -> Tensor:

@@ -29,6 +29,21 @@ from ..measurement import LEVELS, PIXELS, Array, Noise, Points
 CHUNK = 8  # pairs at most that a thread takes at once: their pyramids stay in its cache
 
 
+def recorded(*tensors: Tensor) -> bool:
+    """Whether autograd looks at any of them."""
+    return torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
+
+
+def sigmas_of(noise: ResidualNoise) -> list[Tensor]:
+    """Those of its deviations that are tensors."""
+    return [x for x in (noise.sigma_intensity, noise.sigma_pixel, noise.sigma_depth) if isinstance(x, Tensor)]
+
+
+def uniform(points: HostPoints, noise: ResidualNoise) -> bool:
+    """Whether patches are whole, and the noise is one for all points: what kernels of a batch take."""
+    return all(patch.shape[-1] == PIXELS for patch in points.patch) and all(x.numel() == 1 for x in sigmas_of(noise))
+
+
 def in_threads(work: Callable[[int, int], None], count: int) -> None:
     """work(first, end) over 0 to count, in pieces, on torch.get_num_threads() threads."""
     threads = min(torch.get_num_threads(), count)

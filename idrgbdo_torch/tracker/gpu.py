@@ -14,28 +14,33 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from ..definitions import points as by_points
-from ..definitions.linearise import NormalEquations, ResidualNoise
+from ..definitions.linearise import ResidualNoise
 from ..definitions.pairs import AlignedPairs, PairsTask, concluded, inverse_of, problems_of, result_of
 from ..definitions.points import HostPoints
 from ..definitions.tracking import Estimate, Found, Heard, Prior, Problem, descend
 from ..measurement import PATTERN, PIXELS
 from . import gpu_images
+from .batch import recorded, sigmas_of, uniform
 
 BLOCK, WARPS = 32, 1  # points at a time, a lane each with its eight pixels
 
 
 def has_it(task: PairsTask) -> bool:
-    """Whether the kernels have a task: everything on a GPU, whole patches, one noise for all points."""
-    noise, points = task.noise, task.points
-    sigmas = [x for x in (noise.sigma_intensity, noise.sigma_pixel, noise.sigma_depth) if isinstance(x, Tensor)]
-    whole = all(patch.shape[-1] == PIXELS for patch in points.patch)
-    there = gpu_images.TRITON and task.gray.is_cuda and points.uv.is_cuda
-    return there and whole and all(x.numel() == 1 for x in sigmas)
+    """Whether the kernels have a task: everything on one GPU, whole patches, one noise for all points."""
+    here = (x.device == task.gray.device for x in tensors_of(task))
+    return gpu_images.TRITON and task.gray.is_cuda and all(here) and uniform(task.points, task.noise)
+
+
+def tensors_of(task: PairsTask) -> list[Tensor]:
+    """All that a task is made of, but for the noise, whose numbers may lie anywhere."""
+    values = [task.gray, task.depth, *(x for one in (task.points, task.prior) for x in vars(one).values())]
+    flat = [x for one in values for x in (one if isinstance(one, tuple) else (one,))]
+    return [x for x in flat if isinstance(x, Tensor)]
 
 
 def aligned(task: PairsTask, gradient_steps: int) -> AlignedPairs:
     """The search and its conclusion; where autograd looks, the conclusion is the definition's."""
-    seen = gradient_steps > 0 and torch.is_grad_enabled() and any(x.requires_grad for x in tensors_of(task))
+    seen = gradient_steps > 0 and recorded(*tensors_of(task), *sigmas_of(task.noise))
     levels, plain = len(task.steps), gpu_images.can(task.gray, *([] if task.depth is None else [task.depth]))
     images = (gpu_images if plain else by_points).tracking_pyramid(task.gray, levels)
     there = gpu_images.inverse_of(task.depth) if plain and task.depth is not None else inverse_of(task.depth)
@@ -45,16 +50,8 @@ def aligned(task: PairsTask, gradient_steps: int) -> AlignedPairs:
         found = descend(problems, task.prior, task.noise, by=by.search)
     if seen:
         T, a, system = concluded(task.points, problems[0].target, task.noise, found, gradient_steps)
-    else:
-        T, a, system = by.concluded(problems[0], task.noise, found, gradient_steps)
-    return result_of(task, found, T, a, system)
-
-
-def tensors_of(task: PairsTask) -> list[Tensor]:
-    """All that a task is made of."""
-    values = [task.gray, task.depth, *(x for one in (task.noise, task.points, task.prior) for x in vars(one).values())]
-    flat = [x for one in values for x in (one if isinstance(one, tuple) else (one,))]
-    return [x for x in flat if isinstance(x, Tensor)]
+        return result_of(task, found, T, a, system.H, system.rms, system.kept)
+    return result_of(task, found, *by.concluded(problems[0], task.noise, found, gradient_steps))
 
 
 class OnGpu:
@@ -76,13 +73,16 @@ class OnGpu:
 
     def concluded(
         self, problem: Problem, noise: ResidualNoise, found: Estimate, steps: int
-    ) -> tuple[Tensor, Tensor, NormalEquations]:
-        """Twin of definitions.pairs.concluded without gradients: so many Gauss-Newton steps on the finest level."""
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Twin of definitions.pairs.concluded without gradients: so many Gauss-Newton steps on the finest level.
+
+        Pose (B, 4, 4), brightness (B, 2), the measurements' H (B, 8, 8), the points' rms and kept (B, N).
+        """
         start, prior = State(found.T_target_host, found.affine, found.scale), found.prior
         out = self._launch(replace(problem, steps=steps), start, prior, noise, Round(noise.outlier, 0.0, every=True))
         kept = (out.rms >= 0) & (out.rms <= noise.outlier * found.scale[:, None])
         H = out.H - pad(prior.information, (0, 2, 0, 2)) - pad(prior.affine_information, (6, 0, 6, 0))
-        return out.T, out.affine, NormalEquations(H, torch.zeros_like(H[:, 0]), out.energy, out.rms, kept)
+        return out.T, out.affine, H, out.rms, kept
 
     def _launch(self, problem: Problem, start: State, prior: Prior, noise: ResidualNoise, turn: Round) -> Answer:
         """kernels/gpu/search.search, a program a pair."""
@@ -96,11 +96,16 @@ class OnGpu:
         answer = Answer.empty(B, N, points.rows)
         with gpu_images.on_its_device(image):
             search[(B,)](
-                image, *image.shape[-2:], depth, *depth.shape[-2:], points.rows, points.patch[level],
-                points.gradient[level], points.weight, self._numbers[level], N, *map(plain, start[:2]),
-                *map(plain, (prior.T_target_host, prior.information, prior.affine, prior.affine_information)),
-                plain(start.scale), turn.limit, turn.settled, problem.steps, int(turn.every), *answer,
-                DEPTH=used, PAPER=noise.mode == "paper", BLOCK=BLOCK, num_warps=WARPS, enable_fp_fusion=False,
+                image=image, height=image.shape[-2], width=image.shape[-1], depth=depth, depth_height=depth.shape[-2],
+                depth_width=depth.shape[-1], rows=points.rows, patch=points.patch[level],
+                gradient=points.gradient[level], weight=points.weight, numbers=self._numbers[level], N=N,
+                T_start=plain(start.T), affine_start=plain(start.affine), scales=plain(start.scale),
+                T_prior=plain(prior.T_target_host), information=plain(prior.information),
+                affine_prior=plain(prior.affine), affine_information=plain(prior.affine_information),
+                limit=turn.limit, settled=turn.settled, steps=problem.steps, every=int(turn.every),
+                T_out=answer.T, affine_out=answer.affine, change_out=answer.change, H_out=answer.H, rms=answer.rms,
+                iterations=answer.iterations, DEPTH=used, PAPER=noise.mode == "paper", BLOCK=BLOCK, num_warps=WARPS,
+                enable_fp_fusion=False,
             )  # fmt: skip
         return answer
 
@@ -144,7 +149,7 @@ def numbers_of(problems: Sequence[Problem], noise: ResidualNoise) -> Tensor:
         lines.append([*known, 0.0, 0.0, 0.0, *rest, *PATTERN.T.ravel().tolist()])
     numbers = torch.tensor(lines, dtype=torch.float64)
     sigmas = (noise.sigma_intensity, noise.sigma_pixel, noise.sigma_depth)
-    if not any(isinstance(sigma, Tensor) for sigma in sigmas):
+    if not sigmas_of(noise):
         numbers[:, 5:8] = torch.tensor([sigma**2 for sigma in sigmas])
         return numbers.to(problems[0].target.image.device)
     numbers = numbers.to(problems[0].target.image.device)
@@ -175,7 +180,6 @@ class Answer(NamedTuple):
     T: Tensor  # (B, 4, 4)
     affine: Tensor  # (B, 2)
     change: Tensor  # (B,)
-    energy: Tensor  # (B,)
     H: Tensor  # (B, 8, 8) with the prior
     rms: Tensor  # (B, N)
     iterations: Tensor  # (B,)
@@ -184,5 +188,4 @@ class Answer(NamedTuple):
     def empty(B: int, N: int, like: Tensor) -> Answer:
         """Room for B pairs of N points."""
         new = like.new_empty
-        one = new(B), new(B)
-        return Answer(new(B, 4, 4), new(B, 2), *one, new(B, 8, 8), new(B, N), new(B, dtype=torch.int64))
+        return Answer(new(B, 4, 4), new(B, 2), new(B), new(B, 8, 8), new(B, N), new(B, dtype=torch.int64))

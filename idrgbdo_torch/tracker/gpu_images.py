@@ -17,6 +17,7 @@ from torch import Tensor
 from ..definitions.points import BORDER, ONE_SURFACE
 from ..frame import blur_taps
 from ..measurement import COARSE_BLUR, PATTERN, PIXELS
+from .batch import recorded
 
 # it needs a C compiler to launch anything
 TRITON = find_spec("triton") is not None and any(map(which, (getenv("CC", "cc"), "gcc", "clang")))
@@ -28,7 +29,7 @@ LAST = 2.001  # px from the far border, where patches are clamped to
 def can(*images: Tensor) -> bool:
     """Whether the kernels have these images."""
     plain = all(x.is_cuda and x.dtype == torch.float32 and x.ndim == 3 for x in images)
-    return TRITON and plain and not (torch.is_grad_enabled() and any(x.requires_grad for x in images))
+    return TRITON and plain and not recorded(*images)
 
 
 def on_its_device(x: Tensor) -> AbstractContextManager[object]:

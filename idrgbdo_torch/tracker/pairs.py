@@ -26,6 +26,7 @@ from ..definitions.tracking import STEPS, Prior
 from ..errors import door
 from ..measurement import LEVELS, PIXELS
 from . import gpu, gpu_images, image_operators, operators
+from .batch import recorded, sigmas_of, uniform
 
 
 @door
@@ -145,12 +146,5 @@ def tracking_pyramid(gray: Tensor, levels: int) -> tuple[Tensor, ...]:
 
 def fusable(points: HostPoints, noise: ResidualNoise, image: Tensor) -> bool:
     """Whether the kernels have it: everything on the CPU, whole patches, one noise for all points."""
-    sigmas = [x for x in (noise.sigma_intensity, noise.sigma_pixel, noise.sigma_depth) if isinstance(x, Tensor)]
-    here: Iterable[Tensor] = (points.uv, points.inverse_depth, image, *points.patch[:1], *sigmas)
-    whole = all(patch.shape[-1] == PIXELS for patch in points.patch)
-    return whole and all(x.device.type == "cpu" for x in here) and all(x.numel() == 1 for x in sigmas)
-
-
-def recorded(*tensors: Tensor) -> bool:
-    """Whether autograd looks at any of them."""
-    return torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
+    here: Iterable[Tensor] = (points.uv, points.inverse_depth, image, *points.patch[:1], *sigmas_of(noise))
+    return uniform(points, noise) and all(x.device.type == "cpu" for x in here)

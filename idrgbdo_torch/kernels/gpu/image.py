@@ -12,7 +12,6 @@ import triton.language as tl
 from .linearise import PIXELS, sampled
 
 BORDER = tl.constexpr(4)  # px, as definitions.points.BORDER
-AROUND = tl.constexpr(2)  # px about a point that must be one surface
 
 
 @triton.jit(do_not_specialize=["height", "width", "coarse_height", "coarse_width"])
@@ -93,7 +92,7 @@ def pick(gray, depth, height, width, cell, across, down, spread, uv, inverse_dep
         )
         low = tl.load(depth + at, mask=inside, other=0.0)
         high = low
-        for j in tl.static_range(-2, 3):
+        for j in tl.static_range(-2, 3):  # a point must stand amid one surface
             for i in tl.static_range(-2, 3):
                 z = tl.load(depth + at + j * width + i, mask=inside, other=0.0)
                 low = tl.where(z > 0.0, tl.minimum(low, z), 0.0)

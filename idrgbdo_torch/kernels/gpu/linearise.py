@@ -10,10 +10,12 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
-PIXELS = tl.constexpr(8)  # of a patch: measurement.PIXELS
+from ... import measurement
+
+PIXELS = tl.constexpr(measurement.PIXELS)
 MIN_DEPTH = tl.constexpr(1e-3)  # m, of definitions/camera.py
 AGREEMENT = tl.constexpr(0.05)  # of definitions/image.py
-OTHER_SURFACE = tl.constexpr(6.0)  # of measurement.py
+OTHER_SURFACE = tl.constexpr(measurement.OTHER_SURFACE)
 CAP = tl.constexpr(4.0)  # of definitions/photometric.distortion_weight
 
 # the level's camera, the side of its pixels in those of level 0, then the noise

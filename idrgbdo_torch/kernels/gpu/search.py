@@ -17,7 +17,7 @@ MOST_DAMPING = tl.constexpr(1e4)
 def search(
     image, height, width, depth, depth_height, depth_width, rows, patch, gradient, weight, numbers, N, T_start,
     affine_start, T_prior, information, affine_prior, affine_information, scales, limit, settled, steps, every, T_out,
-    affine_out, change_out, energy_out, H_out, rms, iterations, DEPTH: tl.constexpr, PAPER: tl.constexpr,
+    affine_out, change_out, H_out, rms, iterations, DEPTH: tl.constexpr, PAPER: tl.constexpr,
     BLOCK: tl.constexpr,
 ):  # fmt: skip
     """Program b searches for pair b: at most so many steps; with none, all that it does is to linearise at the start.
@@ -26,8 +26,8 @@ def search(
     (B, N, 8, 2), weight (B, N, 8), numbers: see linearise.py. T_start (B, 4, 4), affine_start (B, 2); the prior's pose,
     information (B, 6, 6), brightness and its information (B, 2, 2); scales (B,) of the residuals; limit of a point's
     residual, what settles the search; every: not 0 where each step is taken, whatever becomes of the energy.
-    Fills T, affine, the last step in standard deviations (B,), energy (B,) and H (B, 8, 8) with the prior, rms (B, N)
-    of the last pose tried, iterations (B,).
+    Fills T, affine, the last step in standard deviations (B,), H (B, 8, 8) with the prior, rms (B, N) of the last pose
+    tried, iterations (B,).
     """
     pair = tl.program_id(0)
     images = (image, height, width, depth, depth_height, depth_width, DEPTH, PAPER)
@@ -75,7 +75,6 @@ def search(
     tl.store(affine_out + pair * 2, a)
     tl.store(affine_out + pair * 2 + 1, c)
     tl.store(change_out + pair, change)
-    tl.store(energy_out + pair, energy)
     tl.store(H_out + pair * 64 + 8 * i + j, H)
     tl.store(iterations + pair, taken)
 

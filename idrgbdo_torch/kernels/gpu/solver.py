@@ -5,7 +5,9 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
-FLOOR = tl.constexpr(1e-9)  # measurement.FLOOR
+from ... import measurement
+
+FLOOR = tl.constexpr(measurement.FLOOR)
 MIN_PIVOT = tl.constexpr(1e-13)  # of definitions/solver.py
 SIZE = tl.constexpr(8)
 
