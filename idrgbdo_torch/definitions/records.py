@@ -107,7 +107,7 @@ class Records(Sequence[Record]):
             reason=self._reasons.array(begin, end).tobytes().decode("utf-8", "surrogatepass") if end > begin else "",
             reference_time=reference if flags & REFERENCE else None,
             T_ref_cam=whole_pose(self._motion[number]) if flags & MOTION else None,
-            information=symmetric(self._information[number]) if flags & INFORMATION else None,
+            information=torch.from_numpy(symmetric(self._information[number])) if flags & INFORMATION else None,
             keyframe=bool(flags & KEYFRAME),
             points=points,
             iterations=iterations,
@@ -174,9 +174,9 @@ def whole_pose(upper: Array) -> Tensor:
     return torch.from_numpy(T)
 
 
-def symmetric(upper: Array) -> Tensor:
-    """(6, 6) of its upper triangle (21,)."""
-    out = np.zeros((6, 6))
-    out[UPPER] = upper
-    out.T[UPPER] = upper
-    return torch.from_numpy(out)
+def symmetric(upper: NDArray[np.floating]) -> Array:
+    """(..., 6, 6) of their upper triangles (..., 21)."""
+    out = np.zeros((*upper.shape[:-1], 6, 6))
+    out[..., UPPER[0], UPPER[1]] = upper
+    out[..., UPPER[1], UPPER[0]] = upper
+    return out

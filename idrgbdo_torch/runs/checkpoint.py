@@ -54,7 +54,7 @@ from .source import Source, difference
 from .tree import Codec
 
 NAME = "checkpoint.bin"
-MAGIC = b"idrgbdo checkpoint 6\n"  # the number is the format's
+MAGIC = b"idrgbdo checkpoint 7\n"  # the number is the format's
 SHARE = 30.0  # times what writing one takes, between two
 LEAST_S = 1.0  # between two
 DIGEST_BYTES = 32

@@ -9,7 +9,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..definitions import se3
 from ..definitions.growing import Column
+from ..definitions.records import UPPER
 from ..frame import Keyframe
 from ..kernels.se3 import inverse, log_se3, retract
 from ..trajectory import Trajectory, timed
@@ -35,7 +37,8 @@ class History:
 
     times: Column = field(default_factory=lambda: Column("float64"))  # s, of every frame
     references: Column = field(default_factory=lambda: Column("int64"))  # its keyframe's number, -1 before the first
-    T_cam_kf: Column = field(default_factory=pose_column)  # of every frame against it
+    T_cam_kf: Column = field(default_factory=pose_column)  # of every frame against it,
+    information: Column = field(default_factory=lambda: Column("float32", (21,)))  # of that, zeros where it is lost
     keyframe_times: Column = field(default_factory=lambda: Column("float64"))
     keyframe_poses: Column = field(default_factory=pose_column)  # T_kf_world, as it stood in the window at last
     tracked: Column = field(default_factory=pose_column)  # T_kf_previous as tracked; NaN where a segment starts
@@ -50,11 +53,12 @@ class History:
     doubtful_frames: int = 0  # since then,
     sharp_frames: int = 0  # and those of them that were measured by keyframes that are not blurred themselves
 
-    def add_frame(self, timestamp: float, T_cam_kf: Array) -> None:
-        """A frame at a pose against the newest keyframe."""
+    def add_frame(self, timestamp: float, T_cam_kf: Array, information: Array | None = None) -> None:
+        """A frame at a pose against the newest keyframe, with its information (6, 6); None: nothing was measured."""
         self.times.append(timestamp)
         self.references.append(len(self.keyframe_poses) - 1)
         self.T_cam_kf.append(T_cam_kf)
+        self.information.append(0.0 if information is None else information[UPPER])
 
     def add_keyframe(
         self, timestamp: float, T_kf_world: Array, T_kf_previous: Array | None, cloud: Cloud = NOTHING
@@ -160,11 +164,14 @@ class History:
         self.segment = segment
 
     def trajectory(self) -> Trajectory:
-        """Every frame's pose by all that is known now: keyframes follow each other, and frames their keyframes."""
+        """Every frame's pose by all that is known now: keyframes follow each other, and frames them, smoothly."""
+        from .jerk import smoothed  # brings scipy's solvers, which no frame needs
+
         keyframes = smooth_keyframes(self.keyframe_poses, self.departures)
-        poses = [inverse(self._frame_pose(number, keyframes)) for number in range(len(self.times))]
-        stacked = np.array(poses).reshape(-1, 4, 4)
-        return timed(torch.from_numpy(self.times.array()), torch.from_numpy(stacked))
+        times, upper = self.times.array(), self.information.array()
+        hung = np.array([self._frame_pose(number, keyframes) for number in range(len(times))]).reshape(-1, 4, 4)
+        T_cam_world = smoothed(times, hung, upper, np.isin(times, self.keyframe_times.array()))
+        return timed(torch.from_numpy(times), se3.inverse(torch.from_numpy(T_cam_world)))
 
     def _frame_pose(self, number: int, keyframes: list[Array]) -> Array:
         """T_cam_world of a frame, given those of all keyframes."""

@@ -108,7 +108,7 @@ class IdRgbdo(Losing):
         motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame, 0.0 if self.lost_in_a_row else dt)
         self.lost_in_a_row, self.last = 0, (reference.keyframe, tracked)
         motion.judge(verdict, reference.keyframe.intruded)
-        self.history.add_frame(frame.timestamp, tracked.T_frame_kf)
+        self.history.add_frame(frame.timestamp, tracked.T_frame_kf, tracked.information)
         time, segment = self.history.keyframe_times[-1], self.history.segment
         result = measured(motion.T_cam_world, tracked, time, reason, segment, entropies)
         known = self._new_keyframe(frame, tracked, verdict, reference)
@@ -169,7 +169,7 @@ class IdRgbdo(Losing):
     def _between(self, frame: Frame, reference: Reference) -> TrackResult:
         """A frame with the colour image of the one before: it is weak, and the next one goes on from that one."""
         tracked = track_between(self._pair(frame, reference), self.motion, reference, self.config)
-        self.history.add_frame(frame.timestamp, tracked.T_frame_kf)
+        self.history.add_frame(frame.timestamp, tracked.T_frame_kf, tracked.information)
         T, time, self.last = tracked.T_frame_kf @ reference.T_kf_world, self.history.keyframe_times[-1], None
         return measured(T, tracked, time, LATE_COLOR, self.history.segment)
 
