@@ -110,7 +110,7 @@ class IdRgbdo(Losing):
         motion.judge(verdict, reference.keyframe.intruded)
         self.history.add_frame(frame.timestamp, tracked.T_frame_kf, tracked.information)
         time, segment = self.history.keyframe_times[-1], self.history.segment
-        result = measured(motion.T_cam_world, tracked, time, reason, segment, entropies)
+        result = measured(motion.T_cam_world, tracked, time, reason, segment, motion.velocity())
         known = self._new_keyframe(frame, tracked, verdict, reference)
         self._glance(frame)
         if known:

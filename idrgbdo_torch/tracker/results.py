@@ -9,13 +9,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..kernels.information import freedom_entropies
 from ..kernels.se3 import inverse
 from ..odometry import Status, TrackResult
+from .shared_errors import believed
 from .tracking import Tracked
 
 Array = NDArray[np.float64]
 
-NOTHING = np.zeros(0)
+UNKNOWN = np.zeros(6)  # velocity
 
 
 def held(T_cam_world: Array, status: Status, reason: str, segment: int) -> TrackResult:
@@ -25,22 +27,23 @@ def held(T_cam_world: Array, status: Status, reason: str, segment: int) -> Track
 
 
 def measured(
-    T_cam_world: Array, tracked: Tracked, reference_time: float, reason: str, segment: int, bits: Array = NOTHING
+    T_cam_world: Array, tracked: Tracked, reference_time: float, reason: str, segment: int, velocity: Array = UNKNOWN
 ) -> TrackResult:
     """Of a frame that was aligned to the keyframe of reference_time (s): weak with a reason, ok without.
 
-    bits: (6,) entropy of each degree of freedom.
+    velocity: (6,) [v, w] of a left increment of T_cam_world, m/s and rad/s, zeros where it is unknown.
     """
+    information = believed(tracked.information, tracked.points, velocity)
     return TrackResult(
         T_world_cam=torch.from_numpy(inverse(T_cam_world)),
         status=Status.WEAK if reason else Status.OK,
         reason=reason,
         reference_time=reference_time,
         T_ref_cam=torch.from_numpy(inverse(tracked.T_frame_kf)),
-        information=torch.from_numpy(tracked.information),
+        information=torch.from_numpy(information),
         points=tracked.points,
         iterations=tracked.iterations,
-        entropy_bits=tuple(bits.tolist()),
+        entropy_bits=tuple(freedom_entropies(information).tolist()),
         segment=segment,
     )
 
