@@ -7,6 +7,7 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from types import CodeType, FrameType
@@ -19,11 +20,17 @@ HAVE_DOCSTRINGS = (ast.FunctionDef, ast.ClassDef, ast.Module)
 
 def homes(tag: str) -> list[str]:
     """`file.py:name` of everything in the package whose docstring opens with the tag."""
+    return [place for place, docstring in docstrings() if docstring.startswith(tag)]
+
+
+@cache
+def docstrings() -> list[tuple[str, str]]:
+    """`file.py:name` and docstring of everything in the package that has one."""
     found = []
     for path in sorted(PACKAGE.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, HAVE_DOCSTRINGS) and (ast.get_docstring(node) or "").startswith(tag):
-                found.append(f"{path.relative_to(PACKAGE)}:{getattr(node, 'name', 'module')}")
+            if isinstance(node, HAVE_DOCSTRINGS) and (docstring := ast.get_docstring(node)):
+                found.append((f"{path.relative_to(PACKAGE)}:{getattr(node, 'name', 'module')}", docstring))
     return found
 
 

@@ -45,7 +45,7 @@ def test_the_twin_is_there(tag: str) -> None:
 def test_a_definition_without_a_twin_runs_by_default(desk: Film) -> None:
     odometry = IdRgbdo()
     with called() as codes:
-        for frame in desk.frames[:20]:
+        for frame in desk.frames[:12]:
             odometry.track(frame)
     alone = {tag: homes(tag)[0] for tag in TAGS if twin(tag) == ITSELF}
     idle = {tag: home for tag, home in alone.items() if code_of(home) not in codes}

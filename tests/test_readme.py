@@ -122,7 +122,7 @@ def test_installation_is_what_the_package_offers() -> None:
     lines = [line for block in blocks(README, "sh") for line in block.splitlines() if line.startswith("pip ")]
     assert lines == [
         "pip install -c constraints.txt . && idrgbdo demo",
-        'pip install -c constraints.txt ".[test]" && pytest',
+        'pip install -c constraints.txt ".[test]" && pytest -n 2 --dist worksteal',
     ]
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert "test" in project["optional-dependencies"]

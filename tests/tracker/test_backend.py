@@ -294,23 +294,24 @@ def sequence() -> Film:
     return film(replace(quarter, frames=100, samples=1))
 
 
-def test_a_hundred_frames_give_the_same_trajectory(sequence: Film, monkeypatch: pytest.MonkeyPatch) -> None:
-    fused = run(IdRgbdo(), sequence.frames)
+def test_fifty_frames_give_the_same_trajectory(sequence: Film, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = sequence.frames[:50]
+    fused = run(IdRgbdo(), frames)
     with monkeypatch.context() as patched:
         forbid_kernels(patched)
         odometry = IdRgbdo(Config(backend="torch"))
-        mine = run(odometry, sequence.frames)
+        mine = run(odometry, frames)
         seen, bits = odometry.last_points()
         assert len(seen) == len(bits) > 12
         with pytest.raises(AssertionError, match="a compiled loop ran"):
-            run(IdRgbdo(), sequence.frames[:1])
+            run(IdRgbdo(), frames[:1])
     assert fused.statuses == mine.statuses
-    assert fused.statuses.count(Status.OK) > 95 and Status.LOST not in fused.statuses
+    assert fused.statuses.count(Status.OK) > 46 and Status.LOST not in fused.statuses
     off = (fused.trajectory().positions - mine.trajectory().positions).norm(dim=1)
     turned = se3.log(se3.inverse(fused.trajectory().T_world_cam) @ mine.trajectory().T_world_cam)[:, 3:].norm(dim=1)
     assert off.max() < 1e-3 and turned.max() < 1e-3
-    path = (sequence.groundtruth.positions[1:] - sequence.groundtruth.positions[:-1]).norm(dim=1).sum()
-    assert path > 0.3 and sum(record.result.keyframe for record in fused.records) >= 3
+    path = (sequence.groundtruth.positions[1:50] - sequence.groundtruth.positions[:49]).norm(dim=1).sum()
+    assert path > 0.15 and sum(record.result.keyframe for record in fused.records) >= 3
 
 
 @pytest.mark.parametrize("mode", ["rand", "grid", "inf"])

@@ -32,7 +32,7 @@ def peak_kb(folder: Path, times: int, frames: int) -> tuple[int, int]:
 
 
 def test_memory_does_not_grow_with_the_sequence(data_dir: Path) -> None:
-    frames = 100
+    frames = 50
     once, small = peak_kb(data_dir / "redkitchen_400", 1, frames)
     often, large = peak_kb(data_dir / "redkitchen_400", 4, frames)
     assert (once, often) == (frames, 4 * frames)
