@@ -25,7 +25,8 @@ Array = NDArray[np.float64]
 STRETCH = 256  # frames whose jerk is said to be equally strong
 BESIDE = 64  # more on either side, whose poses are solved for and left: hardly anything reaches so far
 SHORTEST = 8  # frames that say how strong it is
-LONGEST_GAP = 0.5  # s without a measurement, over which nothing is said of the motion
+LONGEST_GAP = 0.5  # s without a measurement, over which nothing is said of the motion,
+SHORTEST_GAP = 1e-3  # and between two frames whose times are not to be believed
 SECOND = 30.0  # changes of acceleration are counted as those within 1/30 s
 USUAL = np.array([0.2, 1.5])  # m/s^2 and rad/s^2, of a hand, where the search begins
 STEP = 2.0**0.5  # from one strength that is tried to the next,
@@ -92,7 +93,8 @@ def smoothed(times: Array, T_cam_world: Array, information: NDArray[np.floating]
     nothing was measured.
     """
     out = T_cam_world.copy()
-    for stretch, inner in _stretches(times, held | (information[:, 0] > 0.0)):
+    known = np.isfinite(information).all(axis=1) & (information[:, 0] > 0.0)
+    for stretch, inner in _stretches(times, held | known):
         system = Stretch.of(times[stretch], T_cam_world[stretch], symmetric(information[stretch]), held[stretch])
         if not system.free:
             continue
@@ -106,7 +108,7 @@ def smoothed(times: Array, T_cam_world: Array, information: NDArray[np.floating]
 def _stretches(times: Array, known: NDArray[np.bool_]) -> Iterator[tuple[slice, slice]]:
     """Frames that are known one after the other, cut into pieces: with what is beside them, and their own part."""
     gap = np.diff(times)
-    joined = known[1:] & known[:-1] & (gap > 0.0) & (gap < LONGEST_GAP)
+    joined = known[1:] & known[:-1] & (gap > SHORTEST_GAP) & (gap < LONGEST_GAP)
     ends = np.r_[-1, np.flatnonzero(~joined), len(times) - 1] if len(times) else np.array([-1])
     for begin, end in zip(ends[:-1] + 1, ends[1:] + 1, strict=True):
         for first in range(begin, end, STRETCH):

@@ -75,10 +75,11 @@ def test_a_sudden_stop_in_the_middle_costs_little() -> None:
     assert error(smoothed(TIMES, T, information, keyframes()), truth) < error(T, truth)
 
 
-def test_frames_that_nothing_was_measured_of_stay_and_part_the_others() -> None:
+@pytest.mark.parametrize("unknown", [0.0, np.nan, np.inf])
+def test_frames_that_nothing_was_measured_of_stay_and_part_the_others(unknown: float) -> None:
     truth = hand(TIMES)
     T, information = measured(truth)
-    information[50:60] = 0.0
+    information[50:60] = unknown
     T[50:60] = T[49]
     out = smoothed(TIMES, T, information, np.zeros(N, dtype=bool))
     np.testing.assert_array_equal(out[50:60], T[50:60])
@@ -86,10 +87,16 @@ def test_frames_that_nothing_was_measured_of_stay_and_part_the_others() -> None:
     np.testing.assert_allclose(out[:50], alone, atol=1e-12)
 
 
-@pytest.mark.parametrize("odd", ["twice the same time", "a second without frames", "three frames", "no frame"])
+@pytest.mark.parametrize(
+    "odd", ["twice the same time", "nearly the same time", "a second without frames", "three frames", "no frame"]
+)
 def test_times_as_they_come(odd: str) -> None:
     times, n = TIMES.copy(), {"three frames": 3, "no frame": 0}.get(odd, N)
-    times[60:] += {"twice the same time": -1 / 30, "a second without frames": 1.0}.get(odd, 0.0)
+    times[60:] += {
+        "twice the same time": -1 / 30,
+        "nearly the same time": 1e-6 - 1 / 30,
+        "a second without frames": 1.0,
+    }.get(odd, 0.0)
     T, information = measured(hand(times))
     out = smoothed(times[:n], T[:n], information[:n], keyframes(n))
     assert out.shape == (n, 4, 4)
