@@ -5,6 +5,7 @@ Every number that both of them need stands here once; neither imports the other.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import dist
 from typing import Any, NamedTuple
 
@@ -161,11 +162,11 @@ class Agreement(NamedTuple):
 
 
 class Views(NamedTuple):
-    """What the keyframes of a window show: slots of one buffer."""
+    """What the keyframes of a window show."""
 
-    images: Array  # (S, H, W) float32 gray levels
-    depths: Array  # (S, H, W) float32 m
-    slots: Array  # (K,) int64
+    images: Sequence[Array]  # (H, W) float32 gray levels each,
+    depths: Sequence[Array]  # (H, W) float32 m each,
+    slots: Array  # (K,) int64, where those of each keyframe are
     camera: Array  # (4,) fx fy cx cy
 
 
@@ -189,7 +190,7 @@ class WindowPairs(NamedTuple):
     chain: Array  # (K, K, 8, 8) increments of the relative state by those of the host
     Hd: Array  # (K, K, N) of the inverse depths, diagonal
     bd: Array  # (K, K, N)
-    cross: Array  # (K, K, N, 8)
+    cross: Array  # (K, K, 8, N)
     rms: Array  # (K, K, N) whitened residual, -1 unseen
     energy: Array  # (K, K)
     taken: Array  # (K, K) bool, whether it was taken at all
@@ -203,7 +204,7 @@ class WindowPairs(NamedTuple):
         pair = (K, K)
         pairs = WindowPairs(
             np.zeros((*pair, STEP, STEP)), np.zeros((*pair, STEP)), np.zeros((*pair, STEP, STEP)),
-            np.zeros((*pair, N)), np.zeros((*pair, N)), np.zeros((*pair, N, STEP)), np.zeros((*pair, N)),
+            np.zeros((*pair, N)), np.zeros((*pair, N)), np.zeros((*pair, STEP, N)), np.zeros((*pair, N)),
             np.zeros(pair), np.zeros(pair, np.bool_), np.zeros((*pair, 4, 4)), np.zeros((*pair, 2, 2)),
             np.zeros((*pair, N)),
         )  # fmt: skip
@@ -230,13 +231,13 @@ class WindowSystem(NamedTuple):
     b: Array  # (8K,)
     Hd: Array  # (K, N) of the inverse depths, diagonal
     bd: Array  # (K, N)
-    cross: Array  # (K, N, 8K)
+    cross: Array  # (K, 8K, N)
 
     @staticmethod
     def empty(K: int, N: int) -> WindowSystem:
-        """Room for the system of K keyframes with N points each."""
+        """Room for the system of K keyframes with N points each, for who fills all of it."""
         n = STEP * K
-        return WindowSystem(np.zeros((n, n)), np.zeros(n), np.zeros((K, N)), np.zeros((K, N)), np.zeros((K, N, n)))
+        return WindowSystem(np.empty((n, n)), np.empty(n), np.empty((K, N)), np.empty((K, N)), np.empty((K, n, N)))
 
 
 def inverse_depth_sigma(focal_baseline: float, sigma_disparity: float) -> float:

@@ -49,8 +49,8 @@ def _shifted(pairs: WindowPairs, state: WindowState) -> tuple[Tensor, Tensor, Te
     brightness = affine - at_affine[:, :, 1] + gains * (affine[:, None] - at_affine[:, :, 0])
     away = torch.where(taken[..., None], torch.cat([pose, brightness], dim=-1), 0.0)
     depth = torch.where(taken[..., None], torch.from_numpy(state.inv_depth)[:, None] - at_inv_depth, 0.0)
-    H_away, with_pose = (H @ away[..., None])[..., 0], (cross @ away[..., None])[..., 0]
-    with_depth = (cross.mT @ depth[..., None])[..., 0]
+    H_away, with_pose = (H @ away[..., None])[..., 0], (cross.mT @ away[..., None])[..., 0]
+    with_depth = (cross @ depth[..., None])[..., 0]
     squared = (away * H_away).sum(-1) + (depth * (Hd * depth + 2 * with_pose)).sum(-1)
     along = (away * b).sum(-1) + (depth * bd).sum(-1)
     return squared, along, b - H_away - with_depth, bd - Hd * depth - with_pose
@@ -59,7 +59,7 @@ def _shifted(pairs: WindowPairs, state: WindowState) -> tuple[Tensor, Tensor, Te
 def eliminate_depths(system: WindowSystem) -> tuple[Array, Array]:
     """Twin of kernels.assembly.eliminate_depths: the Schur complement of the diagonal block of inverse depths."""
     known = torch.from_numpy(system.Hd).flatten()
-    rows = torch.from_numpy(system.cross).flatten(0, 1)  # (K N, 8 K)
+    rows = torch.from_numpy(system.cross).mT.flatten(0, 1)  # (K N, 8 K)
     share = torch.where((known > 0)[:, None], rows / torch.where(known > 0, known, 1.0)[:, None], 0.0)
     out = torch.from_numpy(system.H) - share.mT @ rows
     rhs = torch.from_numpy(system.b) - share.mT @ torch.from_numpy(system.bd).flatten()
@@ -68,13 +68,13 @@ def eliminate_depths(system: WindowSystem) -> tuple[Array, Array]:
 
 def _fill(system: WindowSystem, H: Tensor, b: Tensor, chain: Tensor, cross: Tensor) -> None:
     """Sum the equations of pairs (host, target, ...) into those of the keyframes."""
-    K, _, N = cross.shape[:3]
+    K, N = len(cross), cross.shape[-1]
     across = H @ chain  # of the target by the host
     blocks = across.permute(1, 2, 0, 3) + across.permute(0, 3, 1, 2)  # (K, 8, K, 8), both triangles
     k = torch.arange(K)
     blocks[k, :, k] += H.sum(0) + (chain.mT @ across).sum(1)
     system.H[:] = blocks.reshape(STEP * K, STEP * K).numpy()
     system.b[:] = (b.sum(0) + (chain.mT @ b[..., None])[..., 0].sum(1)).flatten().numpy()
-    full = cross.permute(0, 2, 1, 3).clone()  # (host, N, target, 8)
-    full[k, :, k] += (cross @ chain).sum(1)
-    system.cross[:] = full.reshape(K, N, STEP * K).numpy()
+    full = cross.clone()  # (host, target, 8, N)
+    full[k, k] += (chain.mT @ cross).sum(1)
+    system.cross[:] = full.reshape(K, STEP * K, N).numpy()

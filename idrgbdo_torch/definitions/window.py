@@ -40,8 +40,8 @@ def linearise_window(
     """
     K, N = state.inv_depth.shape
     camera = pinhole(views.camera, views.images[0])
-    at = torch.from_numpy(views.slots)
-    gray, z = torch.from_numpy(views.images)[at], torch.from_numpy(views.depths)[at].double()
+    gray, z = (torch.from_numpy(np.stack([own[k] for k in views.slots])) for own in (views.images, views.depths))
+    z = z.double()
     inverse_depth = torch.where(z > 0, 1 / z, 0.0)  # (K, H, W)
     uv, patch, gradient, _, _, valid, slope = (torch.from_numpy(x) for x in points)
     inv_depth = torch.from_numpy(state.inv_depth)
@@ -87,7 +87,7 @@ def linearise_window(
     both = torch.stack([brightness.expand(K, K, 2), brightness[:, None].expand(K, K, 2)], dim=2)
     filled = (
         L[..., :8, :8].sum(2), l[..., :8].sum(2), _chain(torch.from_numpy(state.T_linear), gain), L[..., 8, 8],
-        l[..., 8], L[..., 8, :8], torch.where(seen, size, -1.0), energy, torch.ones(K, K, dtype=torch.bool),
+        l[..., 8], L[..., 8, :8].mT, torch.where(seen, size, -1.0), energy, torch.ones(K, K, dtype=torch.bool),
         T[:, :, 0], both, inv_depth.expand(K, K, N),
     )  # fmt: skip
     taken = which & ~np.eye(K, dtype=np.bool_)

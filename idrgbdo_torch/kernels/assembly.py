@@ -17,13 +17,13 @@ def distances(pairs, state):
     Infinite for a pair that is not taken, 0 on the diagonal.
     """
     K, N = state.inv_depth.shape
-    away, b, bd = np.empty(STEP), np.empty(STEP), np.empty(N)
+    away, b, bd, room = np.empty(STEP), np.empty(STEP), np.empty(N), np.empty((3, N))
     out = np.zeros((K, K))
     for host in range(K):
         for target in range(K):
             if pairs.taken[host, target]:
                 increment(pairs, state, host, target, away)
-                _, squared = shifted(pairs, state.inv_depth, host, target, away, b, bd)
+                _, squared = shifted(pairs, state.inv_depth, (host, target), away, b, bd, room)
                 out[host, target] = squared / (STEP + N)
             elif host != target:
                 out[host, target] = np.inf
@@ -42,7 +42,7 @@ def assemble(pairs, state, points, which, system):
     system.Hd[:] = 0.0
     system.bd[:] = 0.0
     system.cross[:] = 0.0
-    away, b, bd = np.empty(STEP), np.empty(STEP), np.empty(N)
+    away, b, bd, room = np.empty(STEP), np.empty(STEP), np.empty(N), np.empty((3, N))
     energy = 0.0
     for host in range(K):
         if which[host, host]:
@@ -50,7 +50,7 @@ def assemble(pairs, state, points, which, system):
         for target in range(K):
             if which[host, target] and pairs.taken[host, target]:
                 increment(pairs, state, host, target, away)
-                change, _ = shifted(pairs, state.inv_depth, host, target, away, b, bd)
+                change, _ = shifted(pairs, state.inv_depth, (host, target), away, b, bd, room)
                 energy += pairs.energy[host, target] + change
                 add_pair(pairs, host, target, b, system)
                 add_points(pairs, host, target, bd, system)
@@ -82,27 +82,31 @@ def increment(pairs, state, host, target, away):
 
 
 @exact_kernel
-def shifted(pairs, inv_depth, host, target, away, b, bd):
+def shifted(pairs, inv_depth, pair, away, b, bd, room):
     """Fill the right sides b (8,) and bd (N,) of a pair after an increment; by what the energy changes, and the
-    increment in squared standard deviations."""
+    increment in squared standard deviations. room (3, N) is overwritten."""
+    host, target = pair
     H, cross, Hd = pairs.H[host, target], pairs.cross[host, target], pairs.Hd[host, target]
     at_b, at_bd, at_depth = pairs.b[host, target], pairs.bd[host, target], pairs.at_inv_depth[host, target]
+    depth, with_pose, pull, here = room[0], room[1], room[2], inv_depth[host]
+    for p in range(bd.shape[0]):
+        depth[p] = here[p] - at_depth[p]
+        with_pose[p] = 0.0
     along, squared = 0.0, 0.0
     for i in range(STEP):
         H_away = dot(H[i], away)
-        b[i] = at_b[i] - H_away
         along += away[i] * at_b[i]
         squared += away[i] * H_away
+        row, by = cross[i], away[i]
+        b[i] = at_b[i] - H_away - dot(row, depth)
+        for p in range(bd.shape[0]):
+            with_pose[p] += row[p] * by
     for p in range(bd.shape[0]):
-        depth = inv_depth[host, p] - at_depth[p]
-        row = cross[p]
-        with_pose = 0.0
-        for i in range(STEP):
-            with_pose += row[i] * away[i]
-            b[i] -= row[i] * depth
-        bd[p] = at_bd[p] - Hd[p] * depth - with_pose
-        along += depth * at_bd[p]
-        squared += depth * (Hd[p] * depth + 2.0 * with_pose)
+        bd[p] = at_bd[p] - Hd[p] * depth[p] - with_pose[p]
+    for p in range(bd.shape[0]):
+        pull[p] = Hd[p] * depth[p] + 2.0 * with_pose[p]
+    along += dot(depth, at_bd)
+    squared += dot(depth, pull)
     return squared - 2.0 * along, squared
 
 
@@ -128,23 +132,27 @@ def add_pair(pairs, host, target, pair_b, system):
 def add_points(pairs, host, target, bd, system):
     """What a host's inverse depths get from a target, and what ties them to both."""
     chain, rows, Hd = pairs.chain[host, target], pairs.cross[host, target], pairs.Hd[host, target]
+    cross, own_Hd, own_bd = system.cross[host], system.Hd[host], system.bd[host]
     ho, ta = STEP * host, STEP * target
     for p in range(bd.shape[0]):
-        if Hd[p] == 0.0:
-            continue
-        system.Hd[host, p] += Hd[p]
-        system.bd[host, p] += bd[p]
-        row, cross = rows[p], system.cross[host, p]
-        r0, r1, r2, r3, r4, r5 = row[0], row[1], row[2], row[3], row[4], row[5]
-        for j in range(3):  # a chain is an adjoint, whose lower left is zero, and two numbers for brightness
-            cross[ho + j] += chain[0, j] * r0 + chain[1, j] * r1 + chain[2, j] * r2
-        for j in range(3, 6):
-            of_v = chain[0, j] * r0 + chain[1, j] * r1 + chain[2, j] * r2
-            cross[ho + j] += of_v + chain[3, j] * r3 + chain[4, j] * r4 + chain[5, j] * r5
-        cross[ho + 6] += chain[6, 6] * row[6]
-        cross[ho + 7] += chain[7, 7] * row[7]
-        for i in range(STEP):
-            cross[ta + i] += row[i]
+        own_Hd[p] += Hd[p]
+        own_bd[p] += bd[p]
+    for j in range(3):  # a chain is an adjoint, whose lower left is zero, and two numbers for brightness
+        a, b, c = chain[0, j], chain[1, j], chain[2, j]
+        for p in range(bd.shape[0]):
+            cross[ho + j, p] += a * rows[0, p] + b * rows[1, p] + c * rows[2, p]
+    for j in range(3, 6):
+        a, b, c, d, e, f = chain[0, j], chain[1, j], chain[2, j], chain[3, j], chain[4, j], chain[5, j]
+        for p in range(bd.shape[0]):
+            of_v = a * rows[0, p] + b * rows[1, p] + c * rows[2, p]
+            cross[ho + j, p] += of_v + d * rows[3, p] + e * rows[4, p] + f * rows[5, p]
+    for j in range(6, STEP):
+        a = chain[j, j]
+        for p in range(bd.shape[0]):
+            cross[ho + j, p] += a * rows[j, p]
+    for j in range(STEP):
+        for p in range(bd.shape[0]):
+            cross[ta + j, p] += rows[j, p]
 
 
 @exact_kernel
@@ -157,39 +165,59 @@ def eliminate_depths(system):
     weights = np.zeros(N)
     weighted = np.zeros((STEP * K, N))
     for k in range(K):
+        rows, known = system.cross[k], system.Hd[k]
+        if not known.any():
+            continue
         for p in range(N):
-            weights[p] = 1.0 / system.Hd[k, p] if system.Hd[k, p] > 0.0 else 0.0
-        columns = system.cross[k].T.copy()  # (8K, N)
+            weights[p] = 1.0 / known[p] if known[p] > 0.0 else 0.0
         for one in range(K):
-            seen[one] = columns[STEP * one].any()
+            seen[one] = not nothing(rows[STEP * one : STEP * (one + 1)])
             if seen[one]:
                 for i in range(STEP * one, STEP * (one + 1)):
-                    weighted[i] = weights * columns[i]
+                    for p in range(N):
+                        weighted[i, p] = weights[p] * rows[i, p]
                     rhs[i] -= dot(weighted[i], system.bd[k])
         for one in range(K):
             for two in range(one, K):
                 if seen[one] and seen[two]:
-                    for i in range(STEP * one, STEP * (one + 1)):
-                        for j in range(STEP * two, STEP * (two + 1), 4):
-                            subtract_products(out[i], j, weighted[i], columns)
+                    subtract_block(out, STEP * one, STEP * two, weighted, rows)
     for i in range(out.shape[0]):
         for j in range(i):
             out[i, j] = out[j, i]
     return out, rhs
 
 
+@exact_kernel
+def nothing(rows):
+    """Whether all is zero."""
+    for i in range(rows.shape[0]):
+        row = rows[i]
+        if dot(row, row) != 0.0:
+            return False
+    return True
+
+
 @kernel
-def subtract_products(out, j, row, columns):
-    """Subtract a row's products with four columns from out[j : j + 4]."""
-    c0, c1, c2, c3 = columns[j], columns[j + 1], columns[j + 2], columns[j + 3]
-    s0 = s1 = s2 = s3 = 0.0
-    for p in range(row.shape[0]):
-        x = row[p]
-        s0 += x * c0[p]
-        s1 += x * c1[p]
-        s2 += x * c2[p]
-        s3 += x * c3[p]
-    out[j] -= s0
-    out[j + 1] -= s1
-    out[j + 2] -= s2
-    out[j + 3] -= s3
+def subtract_block(out, first, other, weighted, rows):
+    """Subtract the products of STEP weighted rows from the first one on with STEP others, two by four at a time."""
+    for i in range(first, first + STEP, 2):
+        for j in range(other, other + STEP, 4):
+            s0 = s1 = s2 = s3 = t0 = t1 = t2 = t3 = 0.0
+            for p in range(rows.shape[1]):
+                a, b = weighted[i, p], weighted[i + 1, p]
+                s0 += a * rows[j, p]
+                s1 += a * rows[j + 1, p]
+                s2 += a * rows[j + 2, p]
+                s3 += a * rows[j + 3, p]
+                t0 += b * rows[j, p]
+                t1 += b * rows[j + 1, p]
+                t2 += b * rows[j + 2, p]
+                t3 += b * rows[j + 3, p]
+            out[i, j] -= s0
+            out[i, j + 1] -= s1
+            out[i, j + 2] -= s2
+            out[i, j + 3] -= s3
+            out[i + 1, j] -= t0
+            out[i + 1, j + 1] -= t1
+            out[i + 1, j + 2] -= t2
+            out[i + 1, j + 3] -= t3

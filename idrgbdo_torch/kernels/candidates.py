@@ -122,22 +122,27 @@ def candidate_scores(gradient2, thresholds, block, edges, depth):
     """
     height, width = gradient2.shape
     out = np.empty((height, width), dtype=np.float32)
-    weakest = np.float32(WEAKEST * WEAKEST)
-    nothing = np.float32(-1.0)
-    zero = np.float32(0.0)
-    one_tier = np.float32(TIER)
+    limits = np.empty(width, dtype=np.float32)
     for v in range(height):
-        for c in range(thresholds.shape[1]):
-            limit = np.float32(thresholds[v // block, c])
-            low = weakest * limit
-            for u in range(c * block, min(width, (c + 1) * block)):  # no branches, so that this becomes SIMD
-                g2 = gradient2[v, u]
-                above = one_tier if g2 > limit else zero
-                edge = above if edges[v, u] > 0 else zero
-                score = g2 + above + edge
-                score = score if g2 > low else nothing
-                out[v, u] = score if depth[v, u] > zero else nothing
+        if v % block == 0:
+            for u in range(width):
+                limits[u] = thresholds[v // block, u // block]
+        score_row(gradient2[v], limits, edges[v], depth[v], out[v])
     return out
+
+
+@kernel
+def score_row(gradient2, limits, edges, depth, out):
+    """Fill a row of scores."""
+    weakest, nothing, zero = np.float32(WEAKEST * WEAKEST), np.float32(-1.0), np.float32(0.0)
+    one_tier, none = np.float32(TIER), np.uint8(0)
+    for u in range(out.shape[0]):  # no branches, so that this becomes SIMD
+        g2, limit = gradient2[u], limits[u]
+        above = one_tier if g2 > limit else zero
+        edge = above if edges[u] > none else zero
+        score = g2 + above + edge
+        score = score if g2 > weakest * limit else nothing
+        out[u] = score if depth[u] > zero else nothing
 
 
 @kernel
@@ -152,45 +157,59 @@ def grid_candidates(scores, depth, cell, border, radius, sigma):
     uv = np.empty((capacity, 2))
     inv_depth = np.empty(capacity)
     tiers = np.empty(capacity, dtype=np.int64)
+    most = np.empty(width, np.float32)  # of each column
     count = 0
     for v0 in range(border, height - border, cell):
+        rows = scores[v0 : min(v0 + cell, height - border)]
+        most[:] = np.float32(-1.0)
+        for v in range(rows.shape[0]):
+            raise_to(rows[v], most)
         for u0 in range(border, width - border, cell):
-            v1 = min(v0 + cell, height - border)
             u1 = min(u0 + cell, width - border)
             for _ in range(6):
-                best, best_u, best_v = highest(scores, u0, v0, u1, v1)
+                best, best_u, best_v = highest(rows, most, u0, u1)
                 if best < 0.0:
                     break
-                ok, d, _gu, _gv = fit_plane(depth, best_u, best_v, radius, sigma)
+                ok, d, _gu, _gv = fit_plane(depth, best_u, v0 + best_v, radius, sigma)
                 if ok:
                     uv[count, 0] = best_u
-                    uv[count, 1] = best_v
+                    uv[count, 1] = v0 + best_v
                     inv_depth[count] = d
                     tiers[count] = int(best / TIER)
                     count += 1
                     break
-                scores[best_v, best_u] = -1.0
+                rows[best_v, best_u] = -1.0
+                most[best_u] = np.float32(-1.0)
+                for v in range(rows.shape[0]):
+                    most[best_u] = max(most[best_u], rows[v, best_u])
     return uv[:count], inv_depth[:count], tiers[:count]
 
 
 @kernel
-def highest(scores, u0, v0, u1, v1):
-    """(score, u, v) of the highest in a rectangle, the first of equals; -1 where there is none."""
+def raise_to(row, most):
+    """Raise each of the largest so far to that of a row."""
+    for u in range(most.shape[0]):  # no branches, so that this becomes SIMD
+        most[u] = row[u] if row[u] > most[u] else most[u]
+
+
+@kernel
+def highest(rows, most, u0, u1):
+    """(score, u, row) of the highest in some columns, the first of equals row by row; -1 where there is none.
+
+    most: the largest of each column.
+    """
     best = np.float32(-1.0)
-    best_u = best_v = -1
-    for v in range(v0, v1):
-        most = np.float32(-1.0)
-        for u in range(u0, u1):  # the largest of a row without branches, so that this becomes SIMD
-            score = scores[v, u]
-            most = score if score > most else most
-        if most > best:
-            best = most
-            best_v = v
-    if best_v >= 0:
-        for u in range(u0, u1):
-            if scores[best_v, u] == best:
-                best_u = u
-                break
+    for u in range(u0, u1):
+        best = max(best, most[u])
+    best_u, best_v = -1, rows.shape[0]
+    if best < 0.0:
+        return best, best_u, -1
+    for u in range(u0, u1):
+        if most[u] == best:
+            for v in range(best_v):  # an equal one to the right must be higher up
+                if rows[v, u] == best:
+                    best_u, best_v = u, v
+                    break
     return best, best_u, best_v
 
 
@@ -246,3 +265,24 @@ def first_of_cells(cells, order, count):
             taken[i] = True
             left -= 1
     return np.flatnonzero(taken)
+
+
+@kernel
+def isolated_holes(depth, step):
+    """Share of the pixels inside a depth image, on every so many rows from the second on, that alone have no depth."""
+    height, width = depth.shape
+    zero, holes, count = np.float32(0.0), 0, 0
+    for v in range(1, height - 1, step):
+        holes += alone(depth[v - 1], depth[v], depth[v + 1], zero)
+        count += width - 2
+    return holes / count if count > 0 else 0.0
+
+
+@kernel
+def alone(above, here, below, zero):
+    """How many pixels of a row have no depth while the four around have."""
+    holes = 0
+    for u in range(1, here.shape[0] - 1):
+        beside = (here[u - 1] > zero) & (here[u + 1] > zero) & (above[u] > zero) & (below[u] > zero)
+        holes += 1 if (here[u] <= zero) & beside else 0
+    return holes

@@ -187,11 +187,13 @@ def add_pixel(k, bright, noise, room, weights=None):
     The variance comes from the host's gradient: it must not change with the pose, or the cost would reward places where
     the residual is merely less certain.
     """
-    points, pixels, places, lanes = room.points, room.pixels, room.places, room.lanes
+    points, lanes = room.points, room.lanes
+    # rows of their own: of an index made of two numbers the compiler does not know that neighbours lie side by side
+    pixels = room.pixels[PIXEL_ROWS * k : PIXEL_ROWS * (k + 1)]
+    at_u, at_v = room.places[AT_U + LANES * k : AT_V], room.places[AT_V + LANES * k :]
     blend, huber = noise.gradient_blend, noise.huber
     for n in range(lanes):
-        at = PIXEL_ROWS * k + n
-        to = AROUND + at
+        to = AROUND + n
         around = (
             np.float64(pixels[to]), np.float64(pixels[to + LANES]),
             np.float64(pixels[to + 2 * LANES]), np.float64(pixels[to + 3 * LANES]),
@@ -200,10 +202,10 @@ def add_pixel(k, bright, noise, room, weights=None):
             np.float64(pixels[to + 8 * LANES]), np.float64(pixels[to + 9 * LANES]),
             np.float64(pixels[to + 10 * LANES]), np.float64(pixels[to + 11 * LANES]),
         )  # fmt: skip
-        value, gu, gv = interpolate(around, places[AT_U + LANES * k + n], places[AT_V + LANES * k + n])
-        reference = bright.gain * (np.float64(pixels[VALUE + at]) - bright.before)
+        value, gu, gv = interpolate(around, at_u[n], at_v[n])
+        reference = bright.gain * (np.float64(pixels[VALUE + n]) - bright.before)
         r = value - reference - bright.offset
-        ru, rv = np.float64(pixels[GRADIENT_U + at]), np.float64(pixels[GRADIENT_V + at])
+        ru, rv = np.float64(pixels[GRADIENT_U + n]), np.float64(pixels[GRADIENT_V + n])
         su = points[B00 + n] * ru + points[B01 + n] * rv
         sv = points[B10 + n] * ru + points[B11 + n] * rv
         variance = photometric_variance(su, sv, points[DU + n], points[DV + n], points[VAR_D + n], noise)

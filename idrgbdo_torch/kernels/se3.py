@@ -147,3 +147,12 @@ def retracted(xi, T):
     for k in range(T.shape[0]):
         out[k] = retract(xi[k], T[k])
     return out
+
+
+@exact_kernel
+def adjoints_to_last(T):
+    """(K, 6, 6) adjoints of T_last_k for poses T_k_world (K, 4, 4)."""
+    out = np.empty((T.shape[0], 6, 6))
+    for k in range(T.shape[0]):
+        out[k] = adjoint(compose(T[-1], inverse(T[k])))
+    return out

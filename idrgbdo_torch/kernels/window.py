@@ -132,9 +132,15 @@ def keep_points(pair, room, jacobians, pairs):
     host, target, first = pair
     Hd, bd, cross = pairs.Hd[host, target], pairs.bd[host, target], pairs.cross[host, target]
     rows = room.points
-    for n in range(min(room.lanes, Hd.shape[0] - first)):
-        seen = rows[at.SEEN + n] != 0.0
-        Hd[first + n] = jacobians[of.HD + n] if seen else 0.0
-        bd[first + n] = jacobians[of.BD + n] if seen else 0.0
-        for i in range(STEP):
-            cross[first + n, i] = jacobians[of.CROSS + LANES * i + n] if seen else 0.0
+    count = min(room.lanes, Hd.shape[0] - first)
+    keep_row(rows[at.SEEN :], jacobians[of.HD :], Hd[first : first + count])
+    keep_row(rows[at.SEEN :], jacobians[of.BD :], bd[first : first + count])
+    for i in range(STEP):
+        keep_row(rows[at.SEEN :], jacobians[of.CROSS + LANES * i :], cross[i][first : first + count])
+
+
+@exact_kernel
+def keep_row(seen, row, out):
+    """Fill the numbers of the points that are seen, 0 for the others."""
+    for n in range(out.shape[0]):
+        out[n] = row[n] if seen[n] != 0.0 else 0.0

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from ..config import Config
 from ..frame import Frame
+from ..kernels import canny
+from ..kernels.candidates import isolated_holes
 from ..measurement import inverse_depth_sigma
 from .backends import Backend
 from .selection import grid_cells
@@ -18,7 +20,7 @@ Index = NDArray[np.int64]
 
 BLOCK = 32  # px, region of the adaptive threshold (DSO)
 THRESHOLD_OFFSET = 7.0  # gray levels above the region's median gradient (DSO)
-CANNY = (50, 200)  # gray levels (RGBDTAM)
+CANNY = (50.0, 200.0)  # gray levels (RGBDTAM)
 STRONG = 0.5  # share of the threshold's gradient that a candidate has
 ENOUGH = 0.5  # share of the candidates that are wanted, under which weaker ones are taken too
 PLANE_RADIUS = 3  # px, neighbourhood that a point's inverse depth is fitted to
@@ -48,9 +50,7 @@ def extract_candidates(frame: Frame, config: Config, rng: Generator, backend: Ba
         return uv[keep], inv_depth[keep]
     gradient2 = backend.gradient_squared(frame.images[0])
     thresholds = backend.block_thresholds(gradient2, BLOCK, THRESHOLD_OFFSET)
-    with np.errstate(invalid="ignore"):  # of pixels that are no numbers
-        pixels = frame.images[0].astype(np.uint8)
-    edges = cv2.Canny(pixels, *CANNY, L2gradient=True)
+    edges = canny.edges(frame.images[0], *CANNY)
     everywhere = max(LEAST, min(EVERYWHERE, min(width, height) // ROWS))
     grid = max(everywhere, round(float(np.sqrt(width * height / config.candidates))))
     cell = everywhere if mode == "inf" else grid
@@ -66,13 +66,9 @@ def without_speckles(depth: Array) -> Array:
     """A depth image (H, W) whose holes of one pixel are closed where they are so many that they leave no whole
     neighbourhood to fit a plane to, as with stereo sensors; any other is given back as it is.
     """
-    hole = depth <= 0.0
-    middle = slice(1, -1)
-    rows = slice(1, -1, LOOK)
-    sides = hole[rows, :-2] | hole[rows, 2:]
-    sides |= hole[:-2:LOOK, middle] | hole[2::LOOK, middle]
-    if not (hole[rows, middle] & ~sides).mean() > SPECKLED:
+    if not isolated_holes(depth, LOOK) > SPECKLED:
         return depth
+    hole = depth <= 0.0
     count = cv2.boxFilter((~hole).astype(np.float32), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
     total = cv2.boxFilter(depth, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
     nearest = cv2.erode(np.where(hole, np.float32(np.inf), depth), np.ones((3, 3), np.uint8))

@@ -13,16 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frame import Frame
-from .intruder import placed
+from ..kernels.sights import median_slopes
 from .tracking import Pair, Tracked, track_closely
 from .verification import LIMITS, Verdict, verify
 
 Array = NDArray[Any]
-Index = NDArray[np.int64]
 
 BLURRED = 0.57  # sharpness over that of the last view that was not, under which a view is
 LEVEL = 1  # of the pyramid that sharpness is measured on: noise is no sharpness
-AROUND = np.mgrid[-2:3, -2:3].reshape(2, -1).T  # px there, among which the steepest counts: points are on the steepest
 SHARP_AGAIN = 0.75  # mean slope of an image over that of one before the blur, from which on it is sharp again
 AS_STEEP = 0.9  # of one over that of its keyframe, from which on no blur is what makes them differ
 ALIKE = 0.95  # share of the points that agree in brightness; fewer are looked into
@@ -39,13 +37,14 @@ def sharpness(pair: Pair, T_frame_kf: Array) -> float:
 
     At a wrong pose other places are seen, so an image that is as steep as the keyframe's on the whole is as sharp.
     """
-    points, witnesses = pair.keyframe.points, pair.keyframe.witnesses[::STRIDE]
-    inside, u, v, _ = placed(points.uv[witnesses], points.inv_depth[witnesses], T_frame_kf, pair.frame)
-    if not inside.any():
+    points, frame, keyframe = pair.keyframe.points, pair.frame, pair.keyframe.frame
+    inside, there, here = median_slopes(
+        points.uv, points.inv_depth, pair.keyframe.witnesses[::STRIDE], T_frame_kf, frame.intrinsics[0],
+        frame.depth.shape, frame.images[LEVEL], keyframe.images[LEVEL],
+    )  # fmt: skip
+    if not inside:
         return 1.0
-    there = steepest(pair.frame.images[LEVEL], u[inside], v[inside])
-    here = steepest(pair.keyframe.frame.images[LEVEL], *points.uv[witnesses[inside]].astype(np.int64).T)
-    sharp = float(np.median(there) / max(float(np.median(here)), 1e-3))
+    sharp = float(there) / max(float(here), 1e-3)
     return sharp if sharp >= BLURRED else max(sharp, BLURRED / AS_STEEP * steepness(pair.frame, pair.keyframe.frame))
 
 
@@ -64,16 +63,6 @@ def sharpness_since(pair: Pair, T_frame_kf: Array, before: Frame) -> float:
     if pair.keyframe.sharp >= BLURRED:
         return sharp
     return max(sharp, BLURRED / SHARP_AGAIN * steepness(pair.frame, before))
-
-
-def steepest(image: Array, u: Index, v: Index) -> Array:
-    """(N,) gray levels/px of the steepest slope of an image around pixels (N,) of the finest level."""
-    height, width = image.shape
-    u = ((u[:, None] >> LEVEL) + AROUND[:, 0]).clip(1, width - 2)
-    v = ((v[:, None] >> LEVEL) + AROUND[:, 1]).clip(1, height - 2)
-    across, down = image[v, u + 1] - image[v, u - 1], image[v + 1, u] - image[v - 1, u]
-    out: Array = np.sqrt((across * across + down * down).max(axis=1)) / 2.0
-    return out
 
 
 def is_blurred(pair: Pair, T_frame_kf: Array, verdict: Verdict) -> bool:

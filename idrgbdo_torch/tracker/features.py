@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frame import Frame
-from ..kernels.matching import mutual_matches
+from ..kernels.matching import mutual_matches, rigid_triples
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ RATIO = 0.8  # of the best to the second-best match (Lowe)
 FEWEST = 12  # matches with depth that are worth a try, and that must agree with a pose
 SUPPORT = 20  # matches that speak for a pose whose brightness agrees in half of the points only
 REPROJECTION_PX = 3.0  # of a match that agrees, on that level
-TRIPLES, AT_ONCE = 3000, 500  # of matches that are looked at, so many at once,
+TRIPLES = 3000  # of matches that are looked at,
 POSES = 100  # and of which the first so many that could be one triangle are tried
 SAME_SHARE, SAME_M = 0.03, 0.01  # by which its sides may differ: share, and m at a depth of 1 m, with its square
 APART = 0.1  # of the depth: shortest side
@@ -65,7 +65,7 @@ def detected(frame: Frame, level: int) -> Features:
             break
     if not keypoints:
         return Features(np.zeros((0, 2), np.float32), np.zeros((0, 8 * WORDS), np.uint8), np.zeros((0, 3), np.float32))
-    uv = np.array([point.pt for point in keypoints], np.float32)
+    uv = np.asarray(cv2.KeyPoint.convert(keypoints), np.float32)
     at_full = np.rint((uv + 0.5) * 2.0**level - 0.5).astype(np.int64)
     height, width = frame.depth.shape
     z = frame.depth[at_full[:, 1].clip(0, height - 1), at_full[:, 0].clip(0, width - 1)]
@@ -144,16 +144,8 @@ def poses_of_triangles(P: Array, Q: Array) -> Array:
     if len(deep) < 3:
         return np.zeros((0, 4, 4))
     triples = deep[np.random.default_rng(0).integers(0, len(deep), (TRIPLES, 3))]
-    rigid = np.zeros((0, 3), np.int64)
-    for part in np.split(triples, range(AT_ONCE, TRIPLES, AT_ONCE)):
-        A, B = P[part], Q[part]  # (N, 3, 3) a point a row
-        sides, others = (np.linalg.norm(X - X[:, [1, 2, 0]], axis=2) for X in (A, B))
-        far = np.maximum(A[:, :, 2], B[:, :, 2]).max(axis=1, keepdims=True)
-        alike = np.abs(sides - others) < SAME_SHARE * sides + SAME_M * far**2
-        rigid = np.concatenate([rigid, part[(alike & (sides > APART * far)).all(axis=1)]])
-        if len(rigid) >= POSES:
-            break
-    A, B = P[rigid[:POSES]], Q[rigid[:POSES]]
+    rigid = rigid_triples(P, Q, triples, POSES, (SAME_SHARE, SAME_M, APART))
+    A, B = P[rigid], Q[rigid]
     middle_a, middle_b = A.mean(axis=1, keepdims=True), B.mean(axis=1, keepdims=True)
     U, _, Vt = np.linalg.svd((B - middle_b).transpose(0, 2, 1) @ (A - middle_a))  # Kabsch
     U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]

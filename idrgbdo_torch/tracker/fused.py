@@ -138,4 +138,5 @@ class Fused:
         return psi if ok else defined.redundancy_bits(torch.from_numpy(information)).numpy()
 
     def next_view_bits(self, information: Array, links: Array, adjoints: Array) -> Array:
-        return removal.next_view_bits(information, links, adjoints)
+        out: Array = removal.next_view_bits(information, links, adjoints)
+        return out

@@ -97,15 +97,8 @@ def moved(uv: Array, frame: Frame, looked: Sequence[Looked], known: Mask) -> tup
     here = kernel.sampled(frame.images[1], uv, 0.5, -0.25)  # the middle of a pixel of level 1 is amid four
     unlike, judged = np.zeros(len(uv), np.bool_), np.zeros(len(uv), np.bool_)
     for _, same, value in looked:
-        if value is None or len(told := np.flatnonzero(same & known)) < FEWEST_KNOWN:
-            continue
-        told = told[:: -(-len(told) // MOST_KNOWN)]
-        a, b = here[told], value[told]
-        middle_a, middle_b = np.median(a), np.median(b)
-        gain = np.median(np.abs(b - middle_b)) / max(np.median(np.abs(a - middle_a)), 1.0)
-        differs = np.abs(value - middle_b - gain * (here - middle_a)) > OTHER_GRAY
-        unlike |= same & ~judged & differs
-        judged |= same
+        if value is not None:
+            kernel.mark_unlike(here, value, same, known, judged, unlike, (FEWEST_KNOWN, MOST_KNOWN, OTHER_GRAY))
     return unlike, judged
 
 

@@ -20,7 +20,6 @@ class Members(NamedTuple):
     chosen: tuple[Array, ...]  # the window points of each, among its candidates
     points: WindowPoints  # those as padded arrays
     pairs: WindowPairs  # what they say of each other, filled in place
-    slots: Array  # (K,) where their images lie in the window's buffers
     T: Array  # (K, 4, 4) T_kf_world
     T_linear: Array  # (K, 4, 4) linearisation points, first estimates once in the prior
     affine: Array  # (K, 2) brightness
@@ -32,16 +31,16 @@ class Members(NamedTuple):
     def none(points: int, patch: int) -> Members:
         """No keyframe yet; so many points each, with patches of so many pixels."""
         poses, brightness = np.zeros((0, 4, 4)), np.zeros((0, 2))
-        numbers, flags = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
+        flags = np.zeros(0, dtype=np.bool_)
         return Members(
-            (), (), no_points(0, points, patch), WindowPairs.empty(0, points), numbers, poses, poses, brightness,
+            (), (), no_points(0, points, patch), WindowPairs.empty(0, points), poses, poses, brightness,
             brightness, flags, np.zeros((0, points)),
         )  # fmt: skip
 
     def __bool__(self) -> bool:
         return len(self.keyframes) > 0
 
-    def append(self, keyframe: Keyframe, index: Array, slot: int, T_kf_world: Array, affine: Array) -> Members:
+    def append(self, keyframe: Keyframe, index: Array, T_kf_world: Array, affine: Array) -> Members:
         """One more, at a pose (4, 4) with a brightness (2,); the first of all belongs to the prior, which holds it."""
         N = self.inv_depth.shape[1]
         inv_depth = np.zeros((1, N))
@@ -52,7 +51,6 @@ class Members(NamedTuple):
             (*self.chosen, index),
             WindowPoints(*(np.concatenate(both) for both in zip(self.points, points, strict=True))),
             self.pairs.grown(),
-            np.append(self.slots, slot),
             np.concatenate([self.T, T_kf_world[None]]),
             np.concatenate([self.T_linear, T_kf_world[None]]),
             np.concatenate([self.affine, affine[None]]),

@@ -28,7 +28,7 @@ from ..kernels.tracking import align
 from ..measurement import LEVELS, PATTERN_U, Points, kernel_noise
 from ..odometry import Odometry
 from .backends import backend_named
-from .features import RATIO, WORDS
+from .features import RATIO, WORDS, poses_of_triangles
 from .window import Window
 
 NOTICE = "compiling the kernels, some 15 s, once; they are kept for later processes"
@@ -113,7 +113,9 @@ def track_films(make: Make, before_window: Callable[[], object] = lambda: None) 
             if number == 2:  # about to need the window
                 before_window()
             odometry.track(frame)
-    mutual_matches(np.zeros((1, WORDS), np.uint64), np.zeros((1, WORDS), np.uint64), RATIO)  # of the lost alone
+    # of the lost alone
+    mutual_matches(np.zeros((1, WORDS), np.uint64), np.zeros((1, WORDS), np.uint64), RATIO)
+    poses_of_triangles(np.zeros((3, 3)), np.ones((3, 3)))
 
 
 def compile_window() -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..config import Config
 from ..definitions.marginalization import LinearPrior, prior_cost, prior_gradient
 from ..frame import Keyframe
-from ..kernels.se3 import adjoint, increments, inverse, retracted
+from ..kernels.se3 import adjoints_to_last, increments, retracted
 from ..kernels.solver import solve_spd
 from ..measurement import STEP, Noise, Views, WindowSystem
 from .backends import Backend
@@ -33,6 +33,7 @@ TOLERANCE = (
 )
 NEAR = 1.0  # standard deviations that a pair may move before it is linearised again
 SMALLEST_SYSTEM = 1e-9  # added to the diagonal: what nothing measures does not move
+SLOTS = 16  # images of a window are a multiple of this many
 PROTECTED = 2  # newest keyframes that stay
 HARDLY_SEEN = 0.05  # share of a keyframe's points in the newest view under which it goes first
 
@@ -55,7 +56,6 @@ class Window:
         self.prior = LinearPrior(torch.zeros(0, 0, dtype=torch.float64), torch.zeros(0, dtype=torch.float64))
         self.scale = 1.0  # robust scale of the whitened residuals when the last optimisation ended
         self.solved = Solved(WindowSystem.empty(0, 0), np.zeros((0, 0)))
-        self.buffers = (np.zeros((0, 0, 0), np.float32), np.zeros((0, 0, 0), np.float32))  # images, depths (S, H, W)
 
     def add(self, keyframe: Keyframe, T_kf_world: Array, relative: Array, index: Index) -> None:
         """Append a keyframe at its tracked pose, with its brightness (2,) relative to the newest one so far.
@@ -67,22 +67,19 @@ class Window:
             a, b = self.members.affine[-1]
             affine = np.array([a + relative[0], np.exp(relative[0]) * b + relative[1]])
         n = len(self.prior.b)
-        H = torch.zeros(n + STEP, n + STEP, dtype=torch.float64)
-        H[:n, :n] = self.prior.H
-        H.diagonal()[n:] = torch.from_numpy(BRIGHTNESS if self.members else FIXED)
-        self.prior = LinearPrior(H, torch.cat([self.prior.b, torch.zeros(STEP, dtype=torch.float64)]))
-        self.members = self.members.append(keyframe, index, self._store(keyframe), T_kf_world, affine)
+        H, b = np.zeros((n + STEP, n + STEP)), np.zeros(n + STEP)
+        H[:n, :n], b[:n] = self.prior.H.numpy(), self.prior.b.numpy()
+        np.einsum("ii->i", H)[n:] = BRIGHTNESS if self.members else FIXED
+        self.prior = LinearPrior(torch.from_numpy(H), torch.from_numpy(b))
+        self.members = self.members.append(keyframe, index, T_kf_world, affine)
 
-    def _store(self, keyframe: Keyframe) -> int:
-        """Copy the images into a free slot of the buffers; its number."""
-        capacity = self.config.window.keyframes + 1
-        shape = (capacity, *keyframe.frame.depth.shape)
-        if self.buffers[0].shape != shape:
-            self.buffers = (np.zeros(shape, np.float32), np.zeros(shape, np.float32))
-        slot = next(s for s in range(capacity) if s not in self.members.slots)
-        self.buffers[0][slot] = keyframe.frame.images[0]
-        self.buffers[1][slot] = keyframe.frame.depth
-        return slot
+    def views(self) -> Views:
+        """What the keyframes show; some images again, as kernels are compiled for each number of them anew."""
+        frames = [keyframe.frame for keyframe in self.members.keyframes]
+        slots = np.arange(len(frames))
+        frames += frames[:1] * (-len(frames) % SLOTS)
+        images, depths = tuple(frame.images[0] for frame in frames), tuple(frame.depth for frame in frames)
+        return Views(images, depths, slots, frames[0].intrinsics[0])
 
     def deviation(self) -> torch.Tensor:
         """(8K,) of the state from the linearisation points: log(T T_0^-1) and brightness."""
@@ -95,9 +92,8 @@ class Window:
     def linearise(self, which: NDArray[np.bool_], limit: float) -> None:
         """Take some pairs (K, K) of host and target at the present state."""
         members = self.members
-        views = Views(*self.buffers, members.slots, members.keyframes[0].frame.intrinsics[0])
         state = members.state(self.config.window.first_estimates)
-        self.backend.linearise_window(views, state, members.points, which, limit, self.noise, members.pairs)
+        self.backend.linearise_window(self.views(), state, members.points, which, limit, self.noise, members.pairs)
 
     def take(self, limit: float) -> bool:
         """Take pairs that are new, or have moved too far for what they said; whether there were any."""
@@ -130,8 +126,9 @@ class Window:
             H += self.prior.H.numpy()
             b += prior_gradient(self.prior, self.deviation()).numpy()
             reduced = H.copy()
-            H[np.diag_indices_from(H)] *= 1.0 + damping
-            H[np.diag_indices_from(H)] += SMALLEST_SYSTEM
+            diagonal = np.einsum("ii->i", H)  # a view
+            diagonal *= 1.0 + damping
+            diagonal += SMALLEST_SYSTEM
             solved, step = solve_spd(H, b)
             if not solved:
                 break
@@ -205,7 +202,7 @@ class Window:
         one against the other.
         """
         T, K = self.members.T, len(self.members.keyframes)
-        adjoints = np.stack([adjoint(T[-1] @ inverse(T[k])) for k in range(K)])
+        adjoints = adjoints_to_last(T)
         blocks = self.solved.system.H.reshape(K, STEP, K, STEP)[-1, :6, :, :6].transpose(1, 0, 2)
         links = -blocks @ np.linalg.inv(adjoints)
         links[-1] = links[-2]
@@ -244,7 +241,7 @@ def moved(members: Members, step: Array, depth_step: Array) -> Members:
 
 def depth_step(system: WindowSystem, step: Array) -> Array:
     """Back-substitution: the inverse depths' step (K, N) for a step (8K,) of poses and brightness."""
-    out: Array = (system.bd - system.cross @ step) / np.where(system.Hd > 0.0, system.Hd, np.inf)
+    out: Array = (system.bd - step @ system.cross) / np.where(system.Hd > 0.0, system.Hd, np.inf)
     return out
 
 

@@ -124,7 +124,7 @@ def fused(
     state = as_arrays(scene.state, linear)
     linearise_window(views(scene), state, scene.points, pairs, limit, noise, taken)
     energy = assemble(taken, state, scene.points, pairs, system)
-    cross = system.cross.reshape(K * N, STEP * K)
+    cross = system.cross.transpose(0, 2, 1).reshape(K * N, STEP * K)
     whole = np.block([[system.H, cross.T], [cross, np.diag(system.Hd.ravel())]])
     rhs = np.concatenate([system.b, system.bd.ravel()])
     return torch.from_numpy(whole), torch.from_numpy(rhs), energy, taken.rms.transpose(0, 2, 1)
@@ -250,7 +250,7 @@ def test_eliminating_the_depths_is_dense_elimination(scene: Scene) -> None:
     n = STEP * K
     Hd, bd = H.diagonal()[n:].reshape(K, N), b[n:].reshape(K, N)
     system = WindowSystem.empty(K, N)
-    parts = (H[:n, :n], b[:n], Hd, bd, H[n:, :n].reshape(K, N, n))
+    parts = (H[:n, :n], b[:n], Hd, bd, H[n:, :n].reshape(K, N, n).mT)
     for part, values in zip(system[:5], parts, strict=True):
         part[...] = values.numpy()
     reduced, rhs = eliminate_depths(system)

@@ -29,7 +29,6 @@ from idrgbdo_torch.measurement import (
     State,
     Subset,
     View,
-    Views,
     WindowPairs,
     WindowSystem,
 )
@@ -195,7 +194,7 @@ def test_window(windows: Desk, limit: float, use_depth: bool, first_estimates: b
         xi = 0.002 * torch.randn(5, 6, generator=torch.Generator().manual_seed(0)).double()
         state = state._replace(T_linear=se3.retract(xi, torch.from_numpy(state.T)).numpy())
     noise = NOISE._replace(use_depth=use_depth)
-    views = Views(*refined.buffers, members.slots, members.keyframes[0].frame.intrinsics[0])
+    views = refined.views()
 
     on = members._replace(affine=state.affine + 0.01, inv_depth=1.001 * state.inv_depth).state(first_estimates=False)
 
@@ -217,7 +216,7 @@ def test_window(windows: Desk, limit: float, use_depth: bool, first_estimates: b
     close(unit * mine.b, unit * fused.b)
     close(mine.Hd, fused.Hd)
     close(unit_d * mine.bd, unit_d * fused.bd)
-    close(unit_d[..., None] * mine.cross * unit, unit_d[..., None] * fused.cross * unit)
+    close(unit_d[:, None] * mine.cross * unit[:, None], unit_d[:, None] * fused.cross * unit[:, None])
     close(taken_mine.rms, taken.rms)
     seen = taken.rms >= 0
     assert seen.any() and (limit > 1e3 or 0 < (taken.rms[seen] > limit).sum() < seen.sum())

@@ -262,3 +262,12 @@ def test_only_depth_with_many_small_holes_is_closed() -> None:
     small = holes & (depth > 0.0)
     small[:, 38:42] = small[8:32, 8:22] = False
     assert (closed[small] > 0.0).mean() > 0.9 and np.abs(closed - depth)[small & (closed > 0.0)].max() < 1e-6
+
+
+def test_holes_are_counted_that_stand_alone() -> None:
+    depth = np.full((9, 12), 2.0, np.float32)
+    depth[1, 3] = depth[5, 1] = depth[5, 10] = depth[2, 6] = 0.0  # the last in a row that is not looked at
+    depth[5, 5:7] = 0.0  # two are a shadow, as is what touches one
+    assert fused.isolated_holes(depth, 4) == 3 / (2 * 10)
+    assert fused.isolated_holes(depth, 1) == 4 / (7 * 10)
+    assert fused.isolated_holes(np.zeros((2, 12), np.float32), 4) == 0.0

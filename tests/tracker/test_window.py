@@ -74,7 +74,7 @@ def test_schur_step_is_the_dense_step(keyed: Desk) -> None:
     H, b = FUSED.eliminate_depths(system)
     step = np.linalg.solve(H + prior, b)
     depths = depth_step(system, step)
-    cross = system.cross.reshape(-1, len(H))
+    cross = system.cross.transpose(0, 2, 1).reshape(-1, len(H))
     dense = np.block([[system.H + prior, cross.T], [cross, np.diag(system.Hd.ravel())]])
     known = dense.diagonal() > 0
     assert known.all() == (system.Hd > 0).all()
@@ -85,6 +85,7 @@ def test_schur_step_is_the_dense_step(keyed: Desk) -> None:
 
 def test_unused_places_take_no_step() -> None:
     system = WindowSystem.empty(2, 3)
+    system.Hd[:] = system.bd[:] = system.cross[:] = 0.0
     system.H[:] = np.eye(2 * STEP)
     system.b[:] = 1.0
     H, b = FUSED.eliminate_depths(system)
