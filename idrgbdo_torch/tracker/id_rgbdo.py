@@ -86,8 +86,9 @@ class IdRgbdo(Losing):
             frame, tracked, verdict = self._steadied(rgbd, tracked, self.reference)
         tracked, verdict = self._beside(frame, tracked, verdict)
         verdict = self._confronted(frame, tracked, verdict, self.reference)
-        if unusable(verdict, self.reference.keyframe.intruded, LIMITS.weak):
-            tracked, verdict = self._late_keyframe(frame, verdict) or (tracked, verdict)
+        if unusable(verdict, self.reference.keyframe.intruded, LIMITS.weak) and self._late_keyframe(frame, verdict):
+            tracked, verdict = self._align(frame, self.reference)
+            verdict = self._confronted(frame, tracked, verdict, self.reference)
         reference, motion, dt = self.reference, self.motion, self.motion.gap(frame.timestamp)
         strict = LIMITS.sure if self.lost_in_a_row else LIMITS.lost
         if reason := unusable(verdict, reference.keyframe.intruded, strict):
@@ -178,33 +179,28 @@ class IdRgbdo(Losing):
             noise = noise._replace(coarse=0.0)
         return Pair(frame, reference.keyframe, noise, self.backend)
 
-    def _late_keyframe(self, frame: Frame, verdict: Verdict) -> tuple[Tracked, Verdict] | None:
-        """Make a keyframe of the frame before, which shares most with this one, if that explains this one better; then
-        how this one is aligned to it.
+    def _late_keyframe(self, frame: Frame, verdict: Verdict) -> bool:
+        """Make a keyframe of the frame before, which shares most with this one, if that explains this one better.
 
         Where this one is lost it becomes one in any case, as what is seen again is most likely the last that was seen.
         """
         last, turn = self.motion.frame, self.motion.turn
         known = last is None or last.timestamp == self.history.keyframe_times[-1]
         if last is None or known or self.history.doubted is not None:
-            return None
+            return False
         if self._blurred(last) or (keyframe := self._keyframe(last, self.motion.T_cam_world)) is None:
-            return None
+            return False
         prior = motion_information(self.config, KEYFRAME_GAP)
         index = self._select(keyframe, np.eye(4), self.config.selection.points, prior, self.noise)
         self.motion.turn = self.motion.frame_turn
         reference = Reference(keyframe, self.motion.T_cam_world, self.motion.turn, index)
-        tracked, other = self._align(frame, reference)
-        other = self._confronted(frame, tracked, other, reference)
+        other = self._confronted(frame, *self._align(frame, reference), reference)
         helps = other.score > verdict.score and not other.doubt(LIMITS.weak)
-        now, self.motion.turn = self.motion.turn, self.motion.frame_turn if helps else turn
+        self.motion.turn = self.motion.frame_turn if helps else turn
         if helps or verdict.doubt(LIMITS.lost):
             self.motion.said = self.motion.T_cam_world  # a lost frame is held there, wherever the window moves it
             self._adopt(keyframe, self.history.T_cam_kf[-1])
-        if not helps:
-            return None
-        self.motion.turn = now
-        return tracked, other
+        return helps
 
     def _blurred(self, last: Frame) -> bool:
         """Whether the last frame was blurred."""

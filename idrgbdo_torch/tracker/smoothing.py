@@ -46,7 +46,7 @@ def solved(A: Array, B: Array) -> Array:
     """Twin of marginalization.scaled_solve in numpy, which does what is not surely positive definite."""
     scale = 1.0 / np.sqrt(np.maximum(A.diagonal(), SMALLEST))
     unit = scale[:, None] * A * scale
-    if np.linalg.eigvalsh(unit)[0] < SURELY:
+    if not np.isfinite(unit).all() or np.linalg.eigvalsh(unit)[0] < SURELY:
         return scaled_solve(torch.from_numpy(A), torch.from_numpy(B)).numpy()
     out: Array = scale[:, None] * np.linalg.solve(unit, scale[:, None] * B)
     return out
