@@ -1,4 +1,4 @@
-"""The removal rule's numpy twin against its torch definition."""
+"""The removal rule's fused twin against its torch definition."""
 
 from __future__ import annotations
 
