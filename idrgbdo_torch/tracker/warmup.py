@@ -113,13 +113,17 @@ def track_films(make: Make, before_window: Callable[[], object] = lambda: None) 
             if number == 2:  # about to need the window
                 before_window()
             odometry.track(frame)
-    # of the lost alone
+    match_nothing()
+
+
+def match_nothing() -> None:
+    """Call what only lost frames need."""
     mutual_matches(np.zeros((1, WORDS), np.uint64), np.zeros((1, WORDS), np.uint64), RATIO)
     poses_of_triangles(np.zeros((3, 3)), np.ones((3, 3)))
 
 
 def compile_window() -> None:
-    """Compile what only the window needs."""
+    """Compile what only the window needs, and some of what is called late, so that both processes have their share."""
     config = Config()
     window = Window(config, kernel_noise(config.noise, config.tracking.patch), backend_named(config.backend))
     none, no_index = np.zeros(0), np.zeros(0, np.int64)
@@ -129,6 +133,8 @@ def compile_window() -> None:
         keyframe = Keyframe(prepare(frame), points, none, none, none, no_index, no_index)
         window.add(keyframe, np.eye(4), np.zeros(2), no_index)
     window.optimise()
+    window.backend.next_view_bits(np.eye(12), np.stack([np.eye(6)] * 2), np.stack([np.eye(6)] * 2))
+    match_nothing()
 
 
 def python(script: str) -> subprocess.Popen[bytes] | None:
