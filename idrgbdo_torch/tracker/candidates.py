@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from ..config import Config
 from ..frame import Frame
-from ..kernels import canny
 from ..kernels.candidates import isolated_holes
 from ..measurement import inverse_depth_sigma
 from .backends import Backend
@@ -20,7 +19,7 @@ Index = NDArray[np.int64]
 
 BLOCK = 32  # px, region of the adaptive threshold (DSO)
 THRESHOLD_OFFSET = 7.0  # gray levels above the region's median gradient (DSO)
-CANNY = (50.0, 200.0)  # gray levels (RGBDTAM)
+CANNY = (50, 200)  # gray levels (RGBDTAM)
 STRONG = 0.5  # share of the threshold's gradient that a candidate has
 ENOUGH = 0.5  # share of the candidates that are wanted, under which weaker ones are taken too
 PLANE_RADIUS = 3  # px, neighbourhood that a point's inverse depth is fitted to
@@ -50,7 +49,9 @@ def extract_candidates(frame: Frame, config: Config, rng: Generator, backend: Ba
         return uv[keep], inv_depth[keep]
     gradient2 = backend.gradient_squared(frame.images[0])
     thresholds = backend.block_thresholds(gradient2, BLOCK, THRESHOLD_OFFSET)
-    edges = canny.edges(frame.images[0], *CANNY)
+    with np.errstate(invalid="ignore"):  # of pixels that are no numbers
+        pixels = frame.images[0].astype(np.uint8)
+    edges = cv2.Canny(pixels, *CANNY, L2gradient=True)
     everywhere = max(LEAST, min(EVERYWHERE, min(width, height) // ROWS))
     grid = max(everywhere, round(float(np.sqrt(width * height / config.candidates))))
     cell = everywhere if mode == "inf" else grid
