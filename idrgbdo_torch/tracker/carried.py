@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frame import Frame, Keyframe
-from ..measurement import IN_FRONT, LEVELS, Noise, State, Subset
+from ..kernels.se3 import inverse
+from ..measurement import IN_FRONT, LEVELS, State, Subset
 from .alignment import FREE
-from .backends import Backend
 from .intruder import only, textured
 from .tracking import Pair, track_frame
 from .verification import LIMITS, Verdict, verify
@@ -33,6 +33,7 @@ ALL = 0.85  # share of the texture in one that must be the same
 SOME = 0.1  # share of it that is texture
 LEAST = 0.02  # of the image, that a thing worth the trouble takes
 MOVED = 0.03  # share of the texture that changes when the camera moves
+APART_PX = 3.0  # between the rest's pose and the one of all, from which on they contradict each other
 SEEN_MOVING_PX = 3.0  # by which the thing would have moved, were it part of the world
 STAYS, GOES = 0.8, 0.5  # share of the thing's points that agree with a camera at rest; fewer agree with the rest's pose
 BEHIND = 0.5  # share of what is around it that is farther
@@ -90,14 +91,14 @@ class Carried:
         mask |= there & (depth == 0.0)
         return mask
 
-    def seen_in(self, frame: Frame, verdict: Verdict, noise: Noise, backend: Backend) -> Keyframe | None:
-        """Look at the next frame, and at the verdict on the pose that explains most of it.
+    def seen_in(self, pair: Pair, T_frame_world: Array, verdict: Verdict) -> Keyframe | None:
+        """Look at the next frame, and at the pose (4, 4) that explains most of it, with its verdict.
 
         The keyframe without the thing once there is one; the frame's pose against that is T_frame_kf then.
         """
         if self.settled or not self.texture.any():
             return None
-        first, believed = self.keyframe.frame, not verdict.doubt(LIMITS.lost)
+        first, frame, believed = self.keyframe.frame, pair.frame, not verdict.doubt(LIMITS.lost)
         now = unchanged(first, frame, self.same)
         moved = 1.0 - now[self.texture].mean()
         self.doubt = ""
@@ -110,40 +111,47 @@ class Carried:
             self.settled = believed
             return None
         thing = outlined(first, same)
-        if not in_front(thing, first, frame):
+        if not in_front(nearest(thing, first), first, frame):
             return None
-        return self._told_apart(Pair(frame, self.keyframe, noise, backend), thing, now)
+        pair = replace(pair, keyframe=self.keyframe)
+        apart = self._told_apart(pair, T_frame_world @ inverse(self.T_kf_world), thing, now)
+        if not (apart and in_front(thing, first, frame)):
+            return None
+        mask, known = whole(thing, first), np.float32(0.0) if self.thing is None else self.thing
+        self.settled, self.doubt, self.thing = True, "", np.where(mask, np.abs(first.depth), known)
+        return without(self.keyframe, mask)
 
-    def _told_apart(self, pair: Pair, thing: Mask, now: Mask) -> Keyframe | None:
-        """The keyframe without the thing, if a pose of the rest explains the rest and not the thing."""
-        keyframe, (height, width) = self.keyframe, self.keyframe.frame.depth.shape
-        mask = cv2.resize(thing.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    def _told_apart(self, pair: Pair, T_frame_kf: Array, thing: Mask, now: Mask) -> bool:
+        """Whether a pose of the rest explains the rest and not the thing.
+
+        Until it can be told, a pose (4, 4) of all is in doubt that contradicts that of the rest.
+        """
+        keyframe, mask = self.keyframe, whole(thing, self.keyframe.frame)
         u, v = keyframe.points.uv.astype(np.int64).T
         rest, its = only(keyframe, ~mask[v, u]), keyframe.witnesses[mask[v, u][keyframe.witnesses]]
         outside = self.texture & ~thing
         self.doubt = "what fills the view may move with the camera" if now[outside].mean() < 1.0 - CHANGES else ""
         if min(len(rest.coarse), len(rest.witnesses), len(its)) < FEWEST:
-            return None
+            return False
         pair = replace(pair, keyframe=rest)
         tracked = track_frame(
             pair, State(self.T_frame_kf, np.zeros(2)), rest.coarse, Subset(rest.coarse, rest.points.patch.shape[2]),
             FREE, LEVELS,
         )  # fmt: skip
         if verify(pair, tracked).doubt(LIMITS.sure):
-            return None
-        self.T_frame_kf, self.doubt = tracked.T_frame_kf, ""
+            return False
+        self.T_frame_kf = tracked.T_frame_kf
         camera, points, rested = keyframe.frame.intrinsics[0], keyframe.points, State(np.eye(4), tracked.affine)
+        apart = pair.backend.displacement(camera, points, keyframe.coarse, T_frame_kf, tracked.T_frame_kf)
+        self.doubt = "part of the view may move with the camera" if apart > APART_PX else ""
         if pair.backend.displacement(camera, points, its, np.eye(4), tracked.T_frame_kf) < SEEN_MOVING_PX:
-            return None
+            return False
         shares = []
         for state in (rested, State(tracked.T_frame_kf, tracked.affine)):
             found = pair.backend.verify(pair.frame.view, LIMITS.level, points, its, state, pair.noise, LIMITS.gray)
-            shares.append(found.bright / max(found.seen, 1))
-        if shares[0] < STAYS or shares[1] > GOES:
-            return None
-        known = np.float32(0.0) if self.thing is None else self.thing
-        self.settled, self.thing = True, np.where(mask, np.abs(keyframe.frame.depth), known)
-        return without(keyframe, mask)
+            # in brightness and in depth: a smooth thing looks the same some pixels beside
+            shares.append(found.bright / max(found.seen, 1) * found.near / max(found.with_depth, 1))
+        return shares[0] >= STAYS and shares[1] <= GOES
 
 
 def without(keyframe: Keyframe, mask: Mask) -> Keyframe:
@@ -200,6 +208,8 @@ def coherent(now: Mask, texture: Mask) -> Mask:
 
 def outlined(first: Frame, same: Mask) -> Mask:
     """(h, w) of the thing that stays the same: with its gaps, and the border that the neighbourhoods took from it."""
+    _, part, sizes, _ = cv2.connectedComponentsWithStats(same.astype(np.uint8))
+    same = (part > 0) & (sizes[:, cv2.CC_STAT_AREA] >= LEAST * same.size)[part]
     inside = cv2.morphologyEx(same.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((AROUND, AROUND), np.uint8))
     inside = cv2.morphologyEx(inside, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     depth = depth_on(first.depth, same, level_of(first))
@@ -207,6 +217,21 @@ def outlined(first: Frame, same: Mask) -> Mask:
     nearby = cv2.dilate(np.where(inside > 0, depth, np.float32(0.0)), wide)
     one_of_it = (depth < (1.0 + IN_FRONT) * nearby) | (cv2.dilate(inside, np.ones((3, 3), np.uint8)) > 0)
     out: Mask = (inside > 0) | ((nearby > 0.0) & one_of_it)
+    return out
+
+
+def whole(thing: Mask, frame: Frame) -> Mask:
+    """(H, W) of a mask (h, w)."""
+    height, width = frame.depth.shape
+    out: Mask = cv2.resize(thing.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    return out
+
+
+def nearest(thing: Mask, first: Frame) -> Mask:
+    """(h, w) of a mask without what is farther than most of it: what has hardly changed yet beside a thing."""
+    depth = depth_on(first.depth, thing, level_of(first))
+    its = depth[thing & (depth > 0.0)]
+    out: Mask = thing & (depth < (1.0 + IN_FRONT) * (np.median(its) if its.size else 0.0))
     return out
 
 

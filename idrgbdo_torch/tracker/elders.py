@@ -72,6 +72,18 @@ def confirmed(frame: Frame, members: Members, noise: Noise, backend: Backend, tr
     return False
 
 
+def explained(frame: Frame, members: Members, noise: Noise, backend: Backend, tracked: Tracked) -> bool:
+    """Whether an older keyframe of the window sees nothing in a frame at its pose but what it knows and what hides it.
+
+    The newest one may show what has come in since, and moved, where it disagrees.
+    """
+    for pair, state, _ in others(frame, members, noise, backend, tracked):
+        said = verify(pair, replace(tracked, T_frame_kf=state.T, affine=state.affine))
+        if said.visible >= IN_VIEW and said.explains:
+            return True
+    return False
+
+
 def others(
     frame: Frame, members: Members, noise: Noise, backend: Backend, tracked: Tracked
 ) -> Iterator[tuple[Pair, State, Array]]:

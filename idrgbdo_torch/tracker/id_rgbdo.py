@@ -20,10 +20,9 @@ from .backends import backend_named
 from .between import LATE_COLOR, track_between
 from .doubt import BLURRED, KEPT_IN_VIEW, sharpness, sharpness_since
 from .elders import confirmed, held_against
-from .glances import Glance
 from .history import History
 from .instant import steady, takes_time
-from .intruder import agreement, outlined, without_intruder
+from .intruder import without_intruder
 from .keyframe import FEWEST_CANDIDATES, make_keyframe, wants_keyframe
 from .loss import Losing
 from .mapping import NOTHING, keyframe_cloud
@@ -84,7 +83,7 @@ class IdRgbdo(Losing):
                 frame, tracked, verdict = earlier, again, second
         if takes_time(rgbd.camera) and not verdict.doubt(LIMITS.lost):
             frame, tracked, verdict = self._steadied(rgbd, tracked, self.reference)
-        tracked, verdict = self._beside(frame, tracked, verdict)
+        tracked, verdict = self._beside(frame, tracked, verdict, self.reference)
         verdict = self._confronted(frame, tracked, verdict, self.reference)
         if unusable(verdict, self.reference.keyframe.intruded, LIMITS.weak) and self._late_keyframe(frame, verdict):
             tracked, verdict = self._align(frame, self.reference)
@@ -128,10 +127,13 @@ class IdRgbdo(Losing):
         self.motion.first = None
         return still[-1], *self._align(still[-1], self.reference or reference)
 
-    def _beside(self, frame: Frame, tracked: Tracked, verdict: Verdict) -> tuple[Tracked, Verdict]:
+    def _beside(
+        self, frame: Frame, tracked: Tracked, verdict: Verdict, reference: Reference
+    ) -> tuple[Tracked, Verdict]:
         """The same; or anew, against the segment's first keyframe without a thing that turns out to move with us."""
-        carried = self.motion.carried
-        if carried is None or (keyframe := carried.seen_in(frame, verdict, self.noise, self.backend)) is None:
+        carried, T_frame_world = self.motion.carried, tracked.T_frame_kf @ reference.T_kf_world
+        pair = Pair(frame, reference.keyframe, self.noise, self.backend)
+        if carried is None or (keyframe := carried.seen_in(pair, T_frame_world, verdict)) is None:
             if self.history.doubted is not None:
                 return tracked, verdict
             return held_against(frame, self.window.members, self.noise, self.backend, tracked, verdict)
@@ -141,15 +143,6 @@ class IdRgbdo(Losing):
         reference = self._adopt(keyframe)
         self.motion.begin(carried.T_frame_kf @ carried.T_kf_world)
         return self._align(frame, reference)
-
-    def _confronted(self, frame: Frame, tracked: Tracked, verdict: Verdict, reference: Reference) -> Verdict:
-        """The verdict, and what the last frames say to the pose where something is in front: it leaves few points."""
-        in_front = self.motion.contested or reference.keyframe.intruded or verdict.hidden > LIMITS.in_front
-        if not in_front or verdict.doubt(LIMITS.lost):
-            return verdict
-        seen = self.motion.carried.beside(frame) if self.motion.carried else frame
-        lately = agreement(seen, self._sights(tracked.T_frame_kf @ reference.T_kf_world))
-        return replace(verdict, lately=lately)
 
     def _align(self, frame: Frame, reference: Reference) -> tuple[Tracked, Verdict]:
         """A frame against the newest keyframe, from where it is expected."""
@@ -188,7 +181,8 @@ class IdRgbdo(Losing):
         known = last is None or last.timestamp == self.history.keyframe_times[-1]
         if last is None or known or self.history.doubted is not None:
             return False
-        if self._blurred(last) or (keyframe := self._keyframe(last, self.motion.T_cam_world)) is None:
+        tracked = self.last[1] if self.last else None
+        if self._blurred(last) or (keyframe := self._keyframe(last, self.motion.T_cam_world, tracked)) is None:
             return False
         prior = motion_information(self.config, KEYFRAME_GAP)
         index = self._select(keyframe, np.eye(4), self.config.selection.points, prior, self.noise)
@@ -236,7 +230,7 @@ class IdRgbdo(Losing):
         in_view = verdict.visible > KEPT_IN_VIEW and not self.history.settles
         if sharp < BLURRED and (in_view or not wanted):
             return False
-        if (keyframe := self._keyframe(frame, self.motion.T_cam_world)) is None:
+        if (keyframe := self._keyframe(frame, self.motion.T_cam_world, tracked)) is None:
             return False
         if self.history.settles:
             self._leave_window()
@@ -247,18 +241,12 @@ class IdRgbdo(Losing):
         self._adopt(keyframe, self.history.T_cam_kf[-1])
         return True
 
-    def _glance(self, frame: Frame) -> None:
-        """Keep what the frame just tracked sees, now and then; without what has come in, where it can tell."""
-        motion = self.motion
-        if motion.glances.is_due():
-            frame = motion.carried.beside(frame) if motion.carried else frame
-            foreign = outlined(frame, self._sights(motion.T_cam_world)) if motion.contested else None
-            motion.glances.add(Glance.of(frame, motion.T_cam_world, foreign))
-
-    def _keyframe(self, frame: Frame, T_frame_world: Array | None = None) -> Keyframe | None:
-        """A keyframe of a frame at a pose, None where it has too few candidates."""
+    def _keyframe(
+        self, frame: Frame, T_frame_world: Array | None = None, tracked: Tracked | None = None
+    ) -> Keyframe | None:
+        """A keyframe of a frame at a pose, None where it has too few candidates; tracked: against the newest one."""
         keyframe: Keyframe | None = self.motion.cleared(make_keyframe(frame, self.config, self.rng, self.backend))
-        if keyframe and T_frame_world is not None and self.motion.knows_what_intrudes:
+        if keyframe and T_frame_world is not None and self._knows_what_intrudes(frame, tracked):
             keyframe = without_intruder(keyframe, self._sights(T_frame_world))
         return keyframe if keyframe and len(keyframe.points.uv) >= FEWEST_CANDIDATES else None
 

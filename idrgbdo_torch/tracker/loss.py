@@ -13,11 +13,10 @@ from ..kernels.se3 import inverse
 from ..odometry import Status, TrackResult
 from .alignment import blind
 from .doubt import BLURRED, EVERY, sharpness_since
-from .glances import Sight
-from .inspection import Shown
-from .intruder import blocked, some_views
+from .facing import Facing
+from .intruder import blocked
 from .joining import join
-from .motion import PATIENCE, Motion
+from .motion import PATIENCE
 from .recovery import Found, find_in_places, find_in_window, find_near
 from .reference import Reference
 from .results import found_in, held
@@ -27,11 +26,10 @@ from .window import Window
 Array = NDArray[np.float64]
 
 
-class Losing(Shown):
+class Losing(Facing):
     """An odometry's answers to a loss. It makes and adopts keyframes, see IdRgbdo."""
 
     config: Config
-    motion: Motion
     lost_in_a_row: int
 
     def _pair(self, frame: Frame, reference: Reference) -> Pair:
@@ -60,10 +58,6 @@ class Losing(Shown):
         self.motion.time, self.lost_in_a_row = frame.timestamp, 0
         reason = "" if first else "a new segment starts here, at the last known pose"
         return replace(self._held(frame, Status.OK if first else Status.LOST, reason), keyframe=True)
-
-    def _sights(self, T_frame_world: Array) -> list[Sight]:
-        """What keyframes of the window and the last frames saw, from a frame at this pose (4, 4)."""
-        return some_views(self.window_keyframes(), T_frame_world) + self.motion.glances.sights(T_frame_world)
 
     def _leave_window(self) -> None:
         """What comes next is not tied to the keyframes so far."""

@@ -21,7 +21,6 @@ Array = NDArray[np.float64]
 GOES_ON = 0.35  # of a change of velocity in the half step to come; half would be exact, were poses without noise
 PATIENCE = 3  # lost frames in a row before a new segment starts
 BLOCKED_S = 1.0  # s that something in front of the view is waited for
-EXPLAINED = 0.95  # share of the points with depth that agree or are hidden
 VIDEO_S = 0.2  # s between frames, up to which a pose is that sure
 DECIDED = 0.1  # share of the points, summed over frames, that says whether a slow camera's colour images are late
 BLOCKED = "what blocked the view may still fill it"
@@ -102,7 +101,12 @@ class Motion:
     @property
     def sees_other_things(self) -> bool:
         """Whether the last image showed something that is not of the world; wide steps explain less in any case."""
-        return not self.explained and self.dt < VIDEO_S
+        return not self.explained and self.at_video_rate
+
+    @property
+    def at_video_rate(self) -> bool:
+        """Whether the last frames were so near in time that a pose is that sure."""
+        return self.dt < VIDEO_S
 
     @property
     def doubt(self) -> str:
@@ -155,7 +159,7 @@ class Motion:
         self.obstructed = bool(obstructed(verdict, intruded, least))
         self.contested = intruded or verdict.hidden > LIMITS.in_front
         self.astray |= self.contested and bool(verdict.doubt(LIMITS.weak))
-        self.explained = verdict.near + verdict.hidden > EXPLAINED and self.dt < VIDEO_S
+        self.explained = verdict.explains and self.at_video_rate
 
     def waits(self, timestamp: float) -> bool:
         """Whether what stands in front is waited for: it had entered before the loss, and not long ago; what the camera

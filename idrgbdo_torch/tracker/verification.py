@@ -36,6 +36,7 @@ class Limits:
     left: int = 32  # points that are seen beside something in front, under which they are too few to be sure
     left_again: int = 64  # of them, from which on they are enough again
     beside: int = 24  # points beside something in front that a pose can be judged by at all
+    explained: float = 0.95  # share of the points with depth that agree or are hidden, where a pose is beyond doubt
     points: int = 6  # a pose has six degrees of freedom
     gain: float = 1.0  # of the logarithm: with no contrast left, a black or white image would explain everything
     unsure_bits: float = -7.0  # entropy of the least certain degree of freedom: 2 mm or 2 mrad given the others
@@ -60,6 +61,11 @@ class Verdict:
     def score(self) -> float:
         """For the choice between two poses."""
         return self.visible * self.bright * self.near * self.lately
+
+    @property
+    def explains(self) -> bool:
+        """Whether nothing disagrees in depth but what something hides: then the pose can tell what that is."""
+        return self.near + self.hidden > LIMITS.explained
 
     def doubt(self, strict: float) -> str:
         """Why the pose is not to be believed, empty when it is; strict grows the limits towards 1."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from fuzz.stress import Film as Stressed
-from fuzz.stress import tally
+from fuzz.stress import error, something, tally
 from rendered import Film
 
 from idrgbdo_torch.frame import prepare
+from idrgbdo_torch.kernels.se3 import inverse
 from idrgbdo_torch.odometry import Status
 from idrgbdo_torch.synthetic.disturbance import thing
 from idrgbdo_torch.tracker.carried import in_front
@@ -35,6 +37,17 @@ def test_what_moves_with_the_camera_is_left_out_and_stays_known(odometry: IdRgbd
     assert not ((u > 80) & (u < 235) & (v > 60) & (v < 170)).any()
     assert odometry.window_keyframes() and not odometry.motion.doubt
     assert all(place.keyframe.intruded for place in odometry.history.places.kept)  # none of before it was known
+
+
+def test_what_moves_with_the_camera_is_told_before_the_pose_is_far_off(desk: Film) -> None:
+    rng = np.random.default_rng(3)
+    what, left, top = something(desk.frames[0], SHARE**0.5, SHARE**0.5, rng)
+    left, top = (round(place * rng.uniform(0, 2)) for place in (left, top))
+    tracker = IdRgbdo()
+    results = [tracker.track(what.before(frame, left, top)) for frame in desk.frames[:6]]
+    away = [error(r.T_world_cam.numpy(), inverse(desk.T(n, 0).numpy()))[0] for n, r in enumerate(results)]
+    assert max(x for x, r in zip(away, results, strict=True) if r.status is Status.OK) < 0.03, away
+    assert max(away[4:]) < 0.005 and results[5].status is Status.OK
 
 
 def test_a_camera_that_moves_freely_carries_nothing(desk: Film) -> None:
