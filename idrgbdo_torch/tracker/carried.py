@@ -129,8 +129,9 @@ class Carried:
         keyframe, mask = self.keyframe, whole(thing, self.keyframe.frame)
         u, v = keyframe.points.uv.astype(np.int64).T
         rest, its = only(keyframe, ~mask[v, u]), keyframe.witnesses[mask[v, u][keyframe.witnesses]]
-        outside = self.texture & ~thing
-        self.doubt = "what fills the view may move with the camera" if now[outside].mean() < 1.0 - CHANGES else ""
+        changed = ~now[self.texture & ~thing]
+        fills = changed.size and changed.mean() > CHANGES
+        self.doubt = "what fills the view may move with the camera" if fills else ""
         if min(len(rest.coarse), len(rest.witnesses), len(its)) < FEWEST:
             return False
         pair = replace(pair, keyframe=rest)

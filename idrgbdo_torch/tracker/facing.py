@@ -8,35 +8,69 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frame import Frame
-from .elders import explained
+from ..kernels.se3 import inverse
+from ..measurement import State
+from .alignment import align_beside
+from .elders import CLEARLY, explained
 from .glances import Glance, Sight
 from .inspection import Shown
 from .intruder import agreement, outlined, some_views
 from .motion import Motion
 from .reference import Reference
-from .tracking import Tracked
+from .tracking import CLOSE, Pair, Tracked
 from .verification import LIMITS, Verdict
 
 Array = NDArray[np.float64]
+
+HELD = np.diag([1.0 / 0.005**2] * 3 + [1.0 / 0.015**2] * 3)  # information by which a pose stays where it is expected
 
 
 class Facing(Shown):
     """An odometry's questions about what is in front of it."""
 
     motion: Motion
+    lost_in_a_row: int
 
     def _sights(self, T_frame_world: Array) -> list[Sight]:
         """What keyframes of the window and the last frames saw, from a frame at this pose (4, 4)."""
         return some_views(self.window_keyframes(), T_frame_world) + self.motion.glances.sights(T_frame_world)
 
-    def _confronted(self, frame: Frame, tracked: Tracked, verdict: Verdict, reference: Reference) -> Verdict:
-        """The verdict, and what the last frames say to the pose where something is in front: it leaves few points."""
-        in_front = self.motion.contested or reference.keyframe.intruded or verdict.hidden > LIMITS.in_front
-        if not in_front or verdict.doubt(LIMITS.lost):
+    def _confronted(self, frame: Frame, T_frame_world: Array, verdict: Verdict, intruded: bool) -> Verdict:
+        """The verdict, and what the last frames say to a pose (4, 4) beside what is in front: it leaves few points.
+
+        intruded: something was in front of the keyframe.
+        """
+        if not self._faces(verdict, intruded) or verdict.doubt(LIMITS.lost):
             return verdict
         seen = self.motion.carried.beside(frame) if self.motion.carried else frame
-        lately = agreement(seen, self._sights(tracked.T_frame_kf @ reference.T_kf_world))
-        return replace(verdict, lately=lately)
+        return replace(verdict, lately=agreement(seen, self._sights(T_frame_world)))
+
+    def _verdict(self, frame: Frame, tracked: Tracked, verdict: Verdict, reference: Reference) -> Verdict:
+        """Likewise, of a pose against the newest keyframe."""
+        return self._confronted(frame, tracked.T_frame_kf @ reference.T_kf_world, verdict, reference.keyframe.intruded)
+
+    def _faces(self, verdict: Verdict, intruded: bool) -> bool:
+        """Whether something is in front of the view, or was just now."""
+        return self.motion.contested or self.motion.astray or intruded or verdict.hidden > LIMITS.in_front
+
+    def _reached(self, pair: Pair, tracked: Tracked, verdict: Verdict) -> tuple[Tracked, Verdict, bool]:
+        """A frame's pose against the newest keyframe, and whether a hand can have brought the camera there.
+
+        Beside something in front few points are left, which poses far apart explain; of two that explain as much, that
+        near the predicted one is taken. Where that leaps too, though it was held, the points are sure of it.
+        """
+        reference, motion = self.reference, self.motion
+        if reference is None or self.lost_in_a_row or not self._faces(verdict, reference.keyframe.intruded):
+            return tracked, verdict, True
+        timestamp, T_kf_world = pair.frame.timestamp, reference.T_kf_world
+        if not motion.leaps(tracked.T_frame_kf @ T_kf_world, timestamp):
+            return tracked, verdict, True
+        guess = State(motion.predicted(motion.gap(timestamp)) @ inverse(T_kf_world), tracked.affine)
+        near, second = align_beside(pair, guess, reference.index, HELD, CLOSE)
+        second = self._verdict(pair.frame, near, second, reference)
+        if second.doubt(LIMITS.sure) or second.score < verdict.score - CLEARLY:
+            return tracked, verdict, False
+        return near, second, True
 
     def _knows_what_intrudes(self, frame: Frame, tracked: Tracked | None) -> bool:
         """Whether a frame's pose can tell; the newest keyframe may show what intrudes, so older ones are asked too."""
@@ -47,7 +81,7 @@ class Facing(Shown):
     def _glance(self, frame: Frame) -> None:
         """Keep what the frame just tracked sees, now and then; without what has come in, where it can tell."""
         motion = self.motion
-        if motion.glances.is_due():
+        if motion.glances.is_due() and not motion.astray:
             frame = motion.carried.beside(frame) if motion.carried else frame
             foreign = outlined(frame, self._sights(motion.T_cam_world)) if motion.contested else None
             motion.glances.add(Glance.of(frame, motion.T_cam_world, foreign))

@@ -84,16 +84,18 @@ class IdRgbdo(Losing):
         if takes_time(rgbd.camera) and not verdict.doubt(LIMITS.lost):
             frame, tracked, verdict = self._steadied(rgbd, tracked, self.reference)
         tracked, verdict = self._beside(frame, tracked, verdict, self.reference)
-        verdict = self._confronted(frame, tracked, verdict, self.reference)
+        verdict = self._verdict(frame, tracked, verdict, self.reference)
         if unusable(verdict, self.reference.keyframe.intruded, LIMITS.weak) and self._late_keyframe(frame, verdict):
             tracked, verdict = self._align(frame, self.reference)
-            verdict = self._confronted(frame, tracked, verdict, self.reference)
+            verdict = self._verdict(frame, tracked, verdict, self.reference)
         reference, motion, dt = self.reference, self.motion, self.motion.gap(frame.timestamp)
         strict = LIMITS.sure if self.lost_in_a_row else LIMITS.lost
         if reason := unusable(verdict, reference.keyframe.intruded, strict):
             return self._found_again(frame) or self._lost(frame, reason)
         if (settled := self._settled(frame, tracked, reference)) is not None:
             return settled
+        tracked, verdict, reached = self._reached(self._pair(frame, reference), tracked, verdict)
+        motion.astray |= not reached
         entropies = self.backend.freedom_entropies(tracked.information)
         asked = motion.obstructed or motion.astray
         if asked and confirmed(frame, self.window.members, self.noise, self.backend, tracked):
@@ -179,7 +181,7 @@ class IdRgbdo(Losing):
         """
         last, turn = self.motion.frame, self.motion.turn
         known = last is None or last.timestamp == self.history.keyframe_times[-1]
-        if last is None or known or self.history.doubted is not None:
+        if last is None or known or self.history.doubted is not None or self.motion.astray:
             return False
         tracked = self.last[1] if self.last else None
         if self._blurred(last) or (keyframe := self._keyframe(last, self.motion.T_cam_world, tracked)) is None:
@@ -188,7 +190,7 @@ class IdRgbdo(Losing):
         index = self._select(keyframe, np.eye(4), self.config.selection.points, prior, self.noise)
         self.motion.turn = self.motion.frame_turn
         reference = Reference(keyframe, self.motion.T_cam_world, self.motion.turn, index)
-        other = self._confronted(frame, *self._align(frame, reference), reference)
+        other = self._verdict(frame, *self._align(frame, reference), reference)
         helps = other.score > verdict.score and not other.doubt(LIMITS.weak)
         self.motion.turn = self.motion.frame_turn if helps else turn
         if helps or verdict.doubt(LIMITS.lost):
@@ -222,8 +224,7 @@ class IdRgbdo(Losing):
         """
         blurred = reference.keyframe.sharp < BLURRED
         wanted = wants_keyframe(reference.entropies, self.config.keyframe) or self.history.settles
-        astray = self.motion.contested and verdict.doubt(LIMITS.weak)  # by what is in front, maybe
-        if astray or not (blurred or wanted):
+        if self.motion.astray or not (blurred or wanted):
             return False
         before = self.window.members.keyframes[-1].frame if self.window.members else frame
         sharp = sharpness_since(self._pair(frame, reference), tracked.T_frame_kf, before)

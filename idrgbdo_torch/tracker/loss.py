@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +22,7 @@ from .recovery import Found, find_in_places, find_in_window, find_near
 from .reference import Reference
 from .results import found_in, held
 from .tracking import Pair, Tracked
+from .verification import LIMITS
 from .window import Window
 
 Array = NDArray[np.float64]
@@ -30,7 +32,6 @@ class Losing(Facing):
     """An odometry's answers to a loss. It makes and adopts keyframes, see IdRgbdo."""
 
     config: Config
-    lost_in_a_row: int
 
     def _pair(self, frame: Frame, reference: Reference) -> Pair:
         """A frame against the newest keyframe."""
@@ -81,10 +82,21 @@ class Losing(Facing):
         if history.doubted is not None:  # else it has been tried
             window[number] = newest, history.keyframe_poses[number]
         expected = self.motion.predicted(self.motion.gap(frame.timestamp))
-        found = find_in_window(pair, expected, window)
-        found = found or find_in_places(pair, history.places.likely(pair.frame, self.lost_in_a_row))
-        found = found or find_near(pair, expected, window)
-        return None if found is None else self._adopt_found(frame, found)
+        searches: tuple[Callable[[], Found | None], ...] = (
+            lambda: find_in_window(pair, expected, window),
+            lambda: find_in_places(pair, history.places.likely(pair.frame, self.lost_in_a_row)),
+            lambda: find_near(pair, expected, window),
+        )
+        for search in searches:
+            if (found := search()) and (confronted := self._found(frame, found)):
+                return self._adopt_found(frame, confronted)
+        return None
+
+    def _found(self, frame: Frame, found: Found) -> Found | None:
+        """Where a frame was found; None where the last frames contradict, as both may show the same thing in front."""
+        T_frame_world = found.T_frame_kf @ self.history.keyframe_poses[found.number]
+        verdict = self._confronted(frame, T_frame_world, found.verdict, False)
+        return None if verdict.doubt(LIMITS.weak) else replace(found, verdict=verdict)
 
     def _adopt_found(self, frame: Frame, found: Found, T_cam_doubted: Array | None = None) -> TrackResult | None:
         """Go on from where a frame was found, with a keyframe of it; None where it can't be one.

@@ -24,6 +24,7 @@ BLOCKED_S = 1.0  # s that something in front of the view is waited for
 VIDEO_S = 0.2  # s between frames, up to which a pose is that sure
 DECIDED = 0.1  # share of the points, summed over frames, that says whether a slow camera's colour images are late
 BLOCKED = "what blocked the view may still fill it"
+STRONGEST = 15.0  # m/s^2, of hands with a camera: twice that of shakes, a seventh of a pose's that has gone astray
 LONGEST = 3.0  # times the last gap that a velocity is followed
 
 
@@ -35,6 +36,8 @@ class Motion:
     T_previous: Array  # (4, 4) of the frame before the last, for the constant velocity
     dt: float = 0.0  # s, between those two; 0 where there is no velocity
     time: float = 0.0  # s, of the last pose that was measured: lost frames since then do not count
+    velocity_before: Array = field(default_factory=lambda: np.zeros(6))  # m/s and rad/s, at the frame before the last,
+    dt_before: float = 0.0  # s, over which that was measured
     surprise_px: float = inf  # px in the image between the last frame's guess and pose
     turn: Array = field(default_factory=lambda: np.zeros(3))  # rad/s, of the last frame
     contested: bool = False  # something was in front of the view of the last measured frame,
@@ -49,6 +52,7 @@ class Motion:
     first: RgbdFrame | None = None  # the first one as it came, until the velocity that it needs is known
     carried: Carried | None = None  # what may move with the camera since the segment began, until that is known
     began_blocked: bool = False  # something was in front of the view before the segment, and may be still
+    restarted: bool = False  # at another pose, from which the next step is no velocity
     said: Array | None = None  # (4, 4) the last pose that was given, where it was refined since then in a loss
 
     lateness: float = 0.0  # by how much more of the points agreed with earlier depth, added up
@@ -141,6 +145,23 @@ class Motion:
         now, before = twist_between(T_cam_world, self.T_cam_world, self.gap(timestamp)), self.velocity()
         return now + GOES_ON * (now - before) if before.any() else now
 
+    def leaps(self, T_cam_world: Array, timestamp: float) -> bool:
+        """Whether the next pose would take an acceleration that no hand gives a camera; False without a velocity.
+
+        Not where it is reached from the pose before the last: then that one was the leap.
+        """
+        gap = self.gap(timestamp)
+        if self.dt <= 0.0 or self.rests or self._reaches(T_cam_world, self.T_cam_world, gap, self.velocity(), self.dt):
+            return False
+        before, dt = self.velocity_before, self.dt_before
+        return dt <= 0.0 or not self._reaches(T_cam_world, self.T_previous, gap + self.dt, before, dt)
+
+    @staticmethod
+    def _reaches(T_cam_world: Array, T_before: Array, gap: float, velocity: Array, dt: float) -> bool:
+        """Whether a pose is reached from one `gap` s before, where the mean velocity over dt s was known."""
+        change = twist_between(T_cam_world, T_before, gap) - velocity
+        return float(np.linalg.norm(change[:3])) <= STRONGEST * 0.5 * (gap + dt)
+
     def move(self, T_cam_world: Array, frame: Frame, dt: float) -> None:
         """To a frame's measured pose; dt 0 where the step from the one before is no velocity. The same images say
         nothing about velocity: it is that of the ones before, and what it is next is over the time since these.
@@ -148,7 +169,9 @@ class Motion:
         if self.rests:
             self.T_cam_world, self.frame, self.said = T_cam_world, frame, None
             return
-        self.T_previous, self.T_cam_world, self.dt = self.T_cam_world, T_cam_world, dt
+        self.velocity_before, self.dt_before = self.velocity(), self.dt
+        self.T_previous, self.T_cam_world, self.dt = self.T_cam_world, T_cam_world, 0.0 if self.restarted else dt
+        self.restarted = False
         self.frame, self.frame_turn, self.time, self.said = frame, self.turn, frame.timestamp, None
         if self.carried and self.carried.settled:
             self.forget_place()
@@ -196,13 +219,14 @@ class Motion:
         return self.carried.cleared(keyframe) if self.carried else keyframe
 
     def begin(self, T_cam_world: Array) -> None:
-        """At another pose, with no velocity."""
+        """At another pose, with no velocity, and none of the doubts about the one before."""
         self.T_cam_world = self.T_previous = T_cam_world
+        self.astray, self.restarted = False, True
         self.lose()
 
     def lose(self) -> None:
         """No velocity and no expectation any more."""
-        self.dt, self.surprise_px, self.frame = 0.0, inf, None
+        self.dt, self.dt_before, self.surprise_px, self.frame = 0.0, 0.0, inf, None
 
 
 def predict(T_a: Array, T_b: Array, ratio: float) -> Array:
