@@ -118,7 +118,8 @@ class Carried:
         if not (apart and in_front(thing, first, frame)):
             return None
         mask, known = whole(thing, first), np.float32(0.0) if self.thing is None else self.thing
-        self.settled, self.doubt, self.thing = True, "", np.where(mask, np.abs(first.depth), known)
+        its = whole(nearest(thing, first), first)  # what is around it may come to be as far as that again
+        self.settled, self.doubt, self.thing = True, "", np.where(its, np.abs(first.depth), known)
         return without(self.keyframe, mask)
 
     def _told_apart(self, pair: Pair, T_frame_kf: Array, thing: Mask, now: Mask) -> bool:
