@@ -37,6 +37,7 @@ class Limits:
     left_again: int = 64  # of them, from which on they are enough again
     beside: int = 24  # points beside something in front that a pose can be judged by at all
     explained: float = 0.95  # share of the points with depth that agree or are hidden, where a pose is beyond doubt
+    everything: float = 0.9  # share of agreeing points that no thing in front can be without what is around it
     points: int = 6  # a pose has six degrees of freedom
     gain: float = 1.0  # of the logarithm: with no contrast left, a black or white image would explain everything
     unsure_bits: float = -7.0  # entropy of the least certain degree of freedom: 2 mm or 2 mrad given the others
@@ -66,6 +67,11 @@ class Verdict:
     def explains(self) -> bool:
         """Whether nothing disagrees in depth but what something hides: then the pose can tell what that is."""
         return self.near + self.hidden > LIMITS.explained
+
+    @property
+    def is_all(self) -> bool:
+        """Whether nearly everything agrees, in brightness and depth: then it is the same view, whatever is in front."""
+        return min(self.bright, self.near) > LIMITS.everything
 
     def doubt(self, strict: float) -> str:
         """Why the pose is not to be believed, empty when it is; strict grows the limits towards 1."""
