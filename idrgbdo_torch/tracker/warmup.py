@@ -31,7 +31,7 @@ from .backends import backend_named
 from .features import RATIO, WORDS, poses_of_triangles
 from .window import Window
 
-NOTICE = "compiling the kernels, some 15 s, once; they are kept for later processes"
+NOTICE = "compiling the kernels, about a minute, once; they are kept for later processes"
 FRAMES = 12
 STEP = 6  # px that the image moves from frame to frame
 DEPTH_M = 1.5
