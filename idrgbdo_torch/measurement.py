@@ -164,9 +164,8 @@ class Agreement(NamedTuple):
 class Views(NamedTuple):
     """What the keyframes of a window show."""
 
-    images: Sequence[Array]  # (H, W) float32 gray levels each,
-    depths: Sequence[Array]  # (H, W) float32 m each,
-    slots: Array  # (K,) int64, where those of each keyframe are
+    images: Sequence[Array]  # (H, W) float32 gray levels each; at least as many as keyframes, in their order
+    depths: Sequence[Array]  # (H, W) float32 m each
     camera: Array  # (4,) fx fy cx cy
 
 

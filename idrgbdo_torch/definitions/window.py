@@ -40,7 +40,7 @@ def linearise_window(
     """
     K, N = state.inv_depth.shape
     camera = pinhole(views.camera, views.images[0])
-    gray, z = (torch.from_numpy(np.stack([own[k] for k in views.slots])) for own in (views.images, views.depths))
+    gray, z = (torch.from_numpy(np.stack(own[:K])) for own in (views.images, views.depths))
     z = z.double()
     inverse_depth = torch.where(z > 0, 1 / z, 0.0)  # (K, H, W)
     uv, patch, gradient, _, _, valid, slope = (torch.from_numpy(x) for x in points)

@@ -74,20 +74,43 @@ def solve_spd(A, b):
 
 
 @kernel
+def forward(L, B):
+    """L^-1 B of a lower triangle (n, n) and (n, m)."""
+    X = B.copy()
+    for i in range(X.shape[0]):
+        row = X[i]
+        for k in range(i):
+            add_multiple(-L[i, k], X[k], row)
+        for j in range(row.shape[0]):
+            row[j] /= L[i, i]
+    return X
+
+
+@kernel
+def add_multiple(factor, row, out):
+    """Add a row, which may be shorter, times a factor."""
+    for j in range(row.shape[0]):
+        out[j] += factor * row[j]
+
+
+@kernel
 def inverse_spd(A):
     """Inverse of a symmetric positive definite matrix; zeros where it is not."""
     n = A.shape[0]
     out = np.zeros((n, n))
-    unit = np.zeros(n)
+    ok, L = factor(A, 0.0)
+    if not ok:
+        return out
+    X = np.zeros((n, n))  # L^-1, a lower triangle
     for i in range(n):
-        unit[i] = 1.0
-        ok, column = solve_spd(A, unit)
-        if not ok:
-            for j in range(n):
-                for k in range(n):
-                    out[j, k] = 0.0
-            return out
-        unit[i] = 0.0
-        for j in range(n):
-            out[j, i] = column[j]
+        X[i, i] = 1.0
+        for k in range(i):
+            add_multiple(-L[i, k], X[k, : k + 1], X[i])
+        for j in range(i + 1):
+            X[i, j] /= L[i, i]
+        for k in range(i + 1):  # X^T X
+            add_multiple(X[i, k], X[i, : k + 1], out[k])
+    for i in range(n):
+        for j in range(i):
+            out[j, i] = out[i, j]
     return out

@@ -97,9 +97,9 @@ def linearise_pair(views, poses, bright, pair, limit, noise, room, equations, pa
     poses: T_target_host (4, 4) where residuals are taken, and where Jacobians are; pair: host, target, first point.
     """
     host, target, first = pair
-    slot, cam = views.slots[target], views.camera
+    cam = views.camera
     camera = (cam[0], cam[1], cam[2], cam[3])
-    patch_sums(views.images[slot], camera, poses[0], bright, noise, room)
+    patch_sums(views.images[target], camera, poses[0], bright, noise, room)
     rows, jacobians = room.points, equations.jacobians
     energy = 0.0
     rms = pairs.rms[host, target]
@@ -115,7 +115,7 @@ def linearise_pair(views, poses, bright, pair, limit, noise, room, equations, pa
         else:
             energy += rows[at.ENERGY + n]
     if noise.use_depth:
-        energy += measure_depths(views.depths[slot], camera, 1.0, room, noise, jacobians)
+        energy += measure_depths(views.depths[target], camera, 1.0, room, noise, jacobians)
     place_again(camera, poses[1], rows, room.lanes)
     forget_unseen(room)
     pose_jacobians(camera, room, jacobians)

@@ -165,7 +165,7 @@ class History:
 
     def trajectory(self) -> Trajectory:
         """Every frame's pose by all that is known now: keyframes follow each other, and frames them, smoothly."""
-        from .jerk import smoothed  # brings scipy's solvers, which no frame needs
+        from .smooth_motion import smoothed  # brings scipy's solvers, which no frame needs
 
         keyframes = smooth_keyframes(self.keyframe_poses, self.departures)
         times, upper = self.times.array(), self.information.array()

@@ -19,10 +19,6 @@ from ..kernels.se3 import inverse, log_se3, retract
 Array = NDArray[np.float64]
 
 
-SMALLEST = 1e-12  # information under which nothing is known
-SURELY = 1e-9  # of a unit diagonal, the smallest eigenvalue of what is taken to be positive definite
-
-
 class Departure(NamedTuple):
     """A keyframe at the moment when it left the window."""
 
@@ -39,17 +35,8 @@ def departure(T: Array, information: Array, k: int) -> Departure:
     """
     mine = slice(6 * k, 6 * k + 6)
     others = np.delete(information[mine], np.arange(6 * k, 6 * k + 6), axis=1)
-    return Departure(T[k].copy(), np.delete(T, k, axis=0), -solved(information[mine, mine], others))
-
-
-def solved(A: Array, B: Array) -> Array:
-    """Twin of marginalization.scaled_solve in numpy, which does what is not surely positive definite."""
-    scale = 1.0 / np.sqrt(np.maximum(A.diagonal(), SMALLEST))
-    unit = scale[:, None] * A * scale
-    if not np.isfinite(unit).all() or np.linalg.eigvalsh(unit)[0] < SURELY:
-        return scaled_solve(torch.from_numpy(A), torch.from_numpy(B)).numpy()
-    out: Array = scale[:, None] * np.linalg.solve(unit, scale[:, None] * B)
-    return out
+    follows = -scaled_solve(torch.from_numpy(information[mine, mine]), torch.from_numpy(others)).numpy()
+    return Departure(T[k].copy(), np.delete(T, k, axis=0), follows)
 
 
 class Departures:

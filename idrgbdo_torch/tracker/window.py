@@ -76,10 +76,9 @@ class Window:
     def views(self) -> Views:
         """What the keyframes show; some images again, as kernels are compiled for each number of them anew."""
         frames = [keyframe.frame for keyframe in self.members.keyframes]
-        slots = np.arange(len(frames))
         frames += frames[:1] * (-len(frames) % SLOTS)
         images, depths = tuple(frame.images[0] for frame in frames), tuple(frame.depth for frame in frames)
-        return Views(images, depths, slots, frames[0].intrinsics[0])
+        return Views(images, depths, frames[0].intrinsics[0])
 
     def deviation(self) -> torch.Tensor:
         """(8K,) of the state from the linearisation points: log(T T_0^-1) and brightness."""

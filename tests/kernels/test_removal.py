@@ -28,3 +28,4 @@ def test_it_is_the_definition(K: int) -> None:
     close(bits, definition.next_view_bits(*map(torch.from_numpy, arguments)), 1e-6)
     assert bits.argmin() == 0 and bits[1:].min() > 1e-3
     assert all(np.array_equal(x, y) for x, y in zip(arguments, copies, strict=True))
+    assert np.isnan(removal.next_view_bits(-arguments[0], links, adjoints)).all()

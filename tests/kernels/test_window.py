@@ -65,7 +65,6 @@ class Scene:
 
     images: np.ndarray
     depths: np.ndarray
-    slots: np.ndarray
     points: WindowPoints
     state: State
     linear: State  # where the geometry is linearised: poses of another state
@@ -78,16 +77,15 @@ def scene() -> Scene:
     scale = torch.tensor([0.05, 0.05, 0.05, 0.02, 0.02, 0.02], dtype=torch.float64)
     truth = se3.exp(scale * torch.randn(K, 6, generator=generator, dtype=torch.float64))
     gray, inverse_depth = zip(*(render(T, SLANTED) for T in truth), strict=True)
-    slots = np.array([2, 0, 3])
-    images = np.zeros((4, CAMERA.height, CAMERA.width), dtype=np.float32)
+    images = np.zeros((K, CAMERA.height, CAMERA.width), dtype=np.float32)
     depths = np.zeros_like(images)
-    for k, slot in enumerate(slots):
-        images[slot] = gray[k].numpy() + 5 * rng.standard_normal(images[slot].shape)
-        depths[slot] = 1 / inverse_depth[k].numpy()
-        depths[slot, 40:80] *= 1.2  # another surface
-        depths[slot, :, 250:] = 0.0
+    for k in range(K):
+        images[k] = gray[k].numpy() + 5 * rng.standard_normal(images[k].shape)
+        depths[k] = 1 / inverse_depth[k].numpy()
+        depths[k, 40:80] *= 1.2  # another surface
+        depths[k, :, 250:] = 0.0
     uv = torch.from_numpy(rng.uniform([4, 4], [CAMERA.width - 5, CAMERA.height - 5], (K, N, 2)))
-    patch, gradient, _ = sample_with_gradient(torch.from_numpy(images[slots]), uv[:, :, None] + PATTERN)
+    patch, gradient, _ = sample_with_gradient(torch.from_numpy(images), uv[:, :, None] + PATTERN)
     measured = torch.stack([sample_surface(d, x)[0] for d, x in zip(inverse_depth, uv, strict=True)])
     valid = np.ones((K, N), dtype=np.bool_)
     valid[1, 5:] = False
@@ -102,11 +100,11 @@ def scene() -> Scene:
         affine = torch.tensor([[0.01, 1.0], [-0.02, -2.0], [0.03, 1.0]], dtype=torch.float64)
         return State(truth, affine, measured).moved(torch.cat([step, depths]))
 
-    return Scene(images, depths, slots, points, near(0.003), near(0.005))
+    return Scene(images, depths, points, near(0.003), near(0.005))
 
 
 def views(scene: Scene) -> Views:
-    return Views(scene.images, scene.depths, scene.slots, CAM)
+    return Views(tuple(scene.images), tuple(scene.depths), CAM)
 
 
 def as_arrays(state: State, linear: State) -> WindowState:
@@ -159,8 +157,8 @@ def by_definition(
             continue
         uv = torch.from_numpy(points.uv[host, p])
         patch, g_host = (torch.from_numpy(x[host, p]).double() for x in (points.patch, points.gradient))
-        image = torch.from_numpy(scene.images[scene.slots[target]]).double()
-        depth = torch.from_numpy(scene.depths[scene.slots[target]]).double()
+        image = torch.from_numpy(scene.images[target]).double()
+        depth = torch.from_numpy(scene.depths[target]).double()
 
         def centre(x: Tensor, origin: State, uv: Tensor = uv, t: int = target, h: int = host, p: int = p) -> Tensor:
             s = origin.moved(x)

@@ -37,8 +37,8 @@ def test_the_window_keeps_its_size_and_its_newest(keyed: Desk) -> None:
         assert window.prior.H.shape == (5 * STEP,) * 2 and window.prior.b.shape == (5 * STEP,)
         views = window.views()
         assert len(views.images) == len(views.depths) == SLOTS  # the same kernels whatever the number of keyframes
-        for slot, keyframe in zip(views.slots, window.members.keyframes, strict=True):
-            assert views.images[slot] is keyframe.frame.images[0] and views.depths[slot] is keyframe.frame.depth
+        for k, keyframe in enumerate(window.members.keyframes):
+            assert views.images[k] is keyframe.frame.images[0] and views.depths[k] is keyframe.frame.depth
     window.optimise()
     assert keyed.errors(window)[0].max() < 2 * MM
 

@@ -16,9 +16,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+from torch import Tensor
 
 from ..definitions import se3
 from ..definitions.records import symmetric
+from ..measurement import RATE
 
 Array = NDArray[np.float64]
 
@@ -27,9 +29,8 @@ BESIDE = 64  # more on either side, whose poses are solved for and left: hardly 
 SHORTEST = 8  # frames that say how strong it is
 LONGEST_GAP = 0.5  # s without a measurement, over which nothing is said of the motion,
 SHORTEST_GAP = 1e-3  # and between two frames whose times are not to be believed
-SECOND = 30.0  # changes of acceleration are counted as those within 1/30 s
-USUAL = np.array([0.2, 1.5])  # m/s^2 and rad/s^2, of a hand, where the search begins
-STEP = 2.0**0.5  # from one strength that is tried to the next,
+USUAL = np.array([0.2, 1.5])  # m/s^2 and rad/s^2 within 1/30 s, of a hand, where the search begins
+RATIO = 2.0**0.5  # from one strength that is tried to the next,
 FARTHEST = 24  # of which so many lead to the last
 BANDS = 24  # of the lower half of a system in which four poses meet
 
@@ -38,36 +39,23 @@ class Stretch(NamedTuple):
     """The least-squares system of N poses, in left increments of T_cam_world (6 N)."""
 
     changes: Array  # (N - 3, 6) of acceleration as the poses have them, in those of 1/30 s: m/s^2, rad/s^2
-    jacobians: Array  # (N - 3, 6, 24) of them, by the increments of their four poses
     curvature: Array  # (2, 24, 6 N) J^T J of translations and of rotations, in scipy's lower banded form
     gradient: Array  # (2, 6 N) J^T changes of both
     measured: Array  # (24, 6 N) what the frames know
-    free: int  # unknowns
 
     @staticmethod
     def of(times: Array, T_cam_world: Array, information: Array, held: NDArray[np.bool_]) -> Stretch:
         """times (N,) s, poses (N, 4, 4), information (N, 6, 6) of their left increments, held (N,): stays as it is."""
-        dt, T = torch.from_numpy(np.diff(times)), torch.from_numpy(T_cam_world)
-        motion = T[1:] @ se3.inverse(T[:-1])
-        velocity = se3.log(motion) / dt[:, None]  # (N - 1, 6)
-        J = torch.zeros(len(dt), 6, 4, 6, dtype=torch.float64)  # of velocities, by the poses at 0 and 1
-        J[:, :, 0] = -se3.adjoint(motion) / dt[:, None, None]
-        J[:, :, 1] = torch.eye(6, dtype=torch.float64) / dt[:, None, None]
-        half = (dt[1:] + dt[:-1]) / 2
-        acceleration, J = _change(velocity, J, half)
-        between = (half[1:] + half[:-1]) / 2
-        changes, J = _change(acceleration, J, (between / SECOND).sqrt())
+        changes, J = changes_of_acceleration(torch.from_numpy(times), torch.from_numpy(T_cam_world))
         J = J * torch.from_numpy(~held)[torch.arange(len(J))[:, None] + torch.arange(4)][:, None, :, None]
         jacobians, r = J.reshape(-1, 6, BANDS), changes[..., None]
         halves = [(jacobians[:, rows], r[:, rows]) for rows in (slice(0, 3), slice(3, 6))]
         measured = np.where(held[:, None, None], np.eye(6), information)
         return Stretch(
             changes.numpy(),
-            jacobians.numpy(),
             np.stack([_banded((j.mT @ j).numpy(), 4) for j, _ in halves]),
             np.stack([_scattered((j.mT @ r)[..., 0].numpy()) for j, r in halves]),
             _banded(measured, 1),
-            6 * int(np.count_nonzero(~held)),
         )
 
     def most_likely(self, sigma: Array) -> tuple[float, Array]:
@@ -95,13 +83,11 @@ def smoothed(times: Array, T_cam_world: Array, information: NDArray[np.floating]
     out = T_cam_world.copy()
     known = np.isfinite(information).all(axis=1) & (information[:, 0] > 0.0)
     for stretch, inner in _stretches(times, held | known):
-        system = Stretch.of(times[stretch], T_cam_world[stretch], symmetric(information[stretch]), held[stretch])
-        if not system.free:
+        if held[stretch].all():
             continue
-        increments = torch.from_numpy(_search(system))
-        moved = se3.retract(increments, torch.from_numpy(T_cam_world[stretch])).numpy()
-        moved[held[stretch]] = T_cam_world[stretch][held[stretch]]
-        out[stretch][inner] = moved[inner]
+        system = Stretch.of(times[stretch], T_cam_world[stretch], symmetric(information[stretch]), held[stretch])
+        moved = se3.retract(torch.from_numpy(_search(system)), torch.from_numpy(T_cam_world[stretch]))
+        out[stretch][inner] = moved[inner].numpy()
     return out
 
 
@@ -124,7 +110,7 @@ def _search(system: Stretch) -> Array:
     while True:
         for power in beside:
             if power not in tried:
-                tried[power] = system.most_likely(USUAL * STEP ** np.array(power))
+                tried[power] = system.most_likely(USUAL * RATIO ** np.array(power))
         best = min(beside, key=lambda power: tried[power][0])
         if (tried[best][0] >= tried[at][0] and len(beside) > 1) or max(map(abs, best)) == FARTHEST:
             return tried[at][1]
@@ -132,7 +118,22 @@ def _search(system: Stretch) -> Array:
         beside = [(at[0] + 1, at[1]), (at[0] - 1, at[1]), (at[0], at[1] + 1), (at[0], at[1] - 1)]
 
 
-def _change(values: torch.Tensor, jacobians: torch.Tensor, over: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def changes_of_acceleration(times: Tensor, T_cam_world: Tensor) -> tuple[Tensor, Tensor]:
+    """(N - 3, 6) changes of acceleration of poses (N, 4, 4) at times (N,), in those of 1/30 s: m/s^2, rad/s^2; their
+    jacobians (N - 3, 6, 4, 6) by left increments of their four poses.
+    """
+    dt = times[1:] - times[:-1]
+    motion = T_cam_world[1:] @ se3.inverse(T_cam_world[:-1])
+    J = dt.new_zeros(len(dt), 6, 4, 6)  # of velocities, by the poses at 0 and 1
+    J[:, :, 0], J[:, :, 1] = -se3.adjoint(motion), torch.eye(6, dtype=J.dtype)
+    velocity, J = se3.log(motion) / dt[:, None], J / dt[:, None, None, None]
+    half = (dt[1:] + dt[:-1]) / 2
+    acceleration, J = _change(velocity, J, half)
+    between = (half[1:] + half[:-1]) / 2
+    return _change(acceleration, J, (between / RATE).sqrt())
+
+
+def _change(values: Tensor, jacobians: Tensor, over: Tensor) -> tuple[Tensor, Tensor]:
     """Differences of neighbouring values (N, 6) divided by `over` (N - 1,); jacobians (N, 6, 4, 6) by four poses."""
     later = jacobians[1:].roll(1, dims=2)  # the later one's poses begin one further
     return (values[1:] - values[:-1]) / over[:, None], (later - jacobians[:-1]) / over[:, None, None, None]
