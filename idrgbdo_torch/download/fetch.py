@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import http
 import http.client
+import io
 import json
 import os
 import queue
@@ -26,13 +27,26 @@ TIMEOUT_S = 60.0  # without a byte
 WAIT_S = 2.0  # before the first repetition, then twice as long each time
 PARTIAL = 206
 DROPPED = (urllib.error.URLError, http.client.HTTPException, ConnectionError, TimeoutError, UnicodeError)
+
+
+class Redirections(urllib.request.HTTPRedirectHandler):
+    """Follows them without the page that comes with one, which may have no end."""
+
+    def http_error_302(self, req: Any, fp: Any, code: int, msg: str, headers: Any) -> Any:
+        """Of the server's answer fp only the head counts."""
+        fp.close()
+        return super().http_error_302(req, io.BytesIO(), code, msg, headers)
+
+    http_error_301 = http_error_303 = http_error_307 = http_error_308 = http_error_302
+
+
 HTTP_ONLY = (
     urllib.request.ProxyHandler,
     urllib.request.UnknownHandler,
     urllib.request.HTTPHandler,
     urllib.request.HTTPSHandler,
     urllib.request.HTTPDefaultErrorHandler,
-    urllib.request.HTTPRedirectHandler,
+    Redirections,
     urllib.request.HTTPErrorProcessor,
 )  # no file:, ftp: or data:, not even behind a redirection
 GIVE_UP = range(400, 500)  # the request itself is wrong: repeating it is no use
@@ -163,7 +177,7 @@ def _opened(request: urllib.request.Request) -> Any:
     def ask() -> None:
         try:
             answers.put(opener.open(request, timeout=TIMEOUT_S))
-        except (OSError, http.client.HTTPException, ValueError) as error:
+        except (OSError, http.client.HTTPException, ValueError, ArithmeticError) as error:
             answers.put(error)
 
     threading.Thread(target=ask, daemon=True).start()
@@ -173,7 +187,7 @@ def _opened(request: urllib.request.Request) -> Any:
         raise TimeoutError(f"no answer in {OPEN_S:.0f} s") from None
     if isinstance(answer, urllib.error.HTTPError | http.client.HTTPException | TimeoutError):
         raise answer
-    if isinstance(answer, OSError | ValueError):  # a redirection to nonsense among them
+    if isinstance(answer, OSError | ValueError | ArithmeticError):  # a redirection to nonsense among them
         raise ConnectionError(str(answer) or type(answer).__name__) from answer
     return answer
 

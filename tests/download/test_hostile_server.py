@@ -64,6 +64,24 @@ def test_a_body_larger_than_the_file_can_be_is_refused(tmp_path: Path, answer: C
     assert not (tmp_path / "a").exists() and not (tmp_path / "a.part").exists()
 
 
+def page_without_end(send: Send) -> None:
+    send(b"HTTP/1.1 302 Found\r\nLocation: http://127.0.0.1:1/a\r\n\r\n")
+    while True:
+        send(bytes(1 << 16))
+
+
+def page_of_nonsense(send: Send) -> None:
+    send(b"HTTP/1.1 302 Found\r\nLocation: http://127.0.0.1:1/a\r\nContent-Length: %d\r\n\r\n" % 10**30)
+
+
+@pytest.mark.parametrize("answer", [page_without_end, page_of_nonsense])
+def test_the_page_of_a_redirection_is_not_read(tmp_path: Path, answer: Callable[[Send], None]) -> None:
+    begin = time.monotonic()
+    with answering(answer) as url, pytest.raises(IdRgbdoError, match="refused"):
+        fetch(f"{url}/a", tmp_path / "a", tries=2, wait_s=0)
+    assert time.monotonic() - begin < 5
+
+
 def drop_by_drop(send: Send) -> None:
     send(b"HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n")
     for _ in range(1000):

@@ -16,8 +16,8 @@ from . import checkpoints, doors, downloads, folders, frames, kills, readers, st
 from .promise import Attack, limits
 
 ATTACKS: Mapping[str, Attack] = {
-    "spoiled checkpoint": Attack(checkpoints.spoiled_checkpoint),
-    "sealed checkpoint": Attack(checkpoints.sealed_checkpoint),
+    "spoiled checkpoint": Attack(checkpoints.spoiled_checkpoint, ready=checkpoints.whole),
+    "sealed checkpoint": Attack(checkpoints.sealed_checkpoint, ready=checkpoints.whole),
     "full disk": Attack(folders.full_disk),
     "edited note": Attack(folders.edited_note),
     "edited results": Attack(folders.edited_results),
