@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from ..frame import Frame
 from ..measurement import LEVELS, State, Subset
 from .doubt import align_blurred, is_blurred
-from .features import FULL, HALF, start_from_features, worth_the_whole
+from .features import HALF, start_from_features
 from .intruder import hidden
 from .keyframe import all_patches
-from .tracking import Pair, Tracked, track_closely, track_frame
+from .tracking import FREE, Pair, Tracked, track_closely, track_frame
 from .verification import LIMITS, Verdict, verify
 
 Array = NDArray[np.float64]
@@ -34,7 +34,6 @@ NOTHING = (
     Tracked(np.eye(4), np.zeros(2), np.zeros((6, 6)), 0, 0, np.zeros(0, np.int64), np.zeros(0)),
     Verdict(0.0, 0.0, 0.0),
 )
-FREE = np.diag([1e-2] * 6)  # information of a prior that holds nothing
 
 
 def align(
@@ -116,14 +115,8 @@ def blind(frame: Frame) -> bool:
 
 
 def recover_by_features(pair: Pair, affine: Array, index: Index) -> tuple[Tracked, Verdict]:
-    """recover() from where the features of frame and keyframe say: for views far apart, where no prediction holds.
-
-    Those of the half-size level say it for a quarter of the cost; those of the whole image are asked where the former
-    are too few for a pose, but too many for chance.
-    """
+    """recover() from where the features of frame and keyframe say: for views far apart, where no prediction holds."""
     start = start_from_features(pair.frame, pair.keyframe.frame, HALF)
-    if start is None and worth_the_whole(pair.frame, pair.keyframe.frame):
-        start = start_from_features(pair.frame, pair.keyframe.frame, FULL)
     if start is None:
         return NOTHING
     tracked, verdict = recover(pair, [start.T_target_host] * 2, affine, index, (NEAR_LEVELS, LEVELS))

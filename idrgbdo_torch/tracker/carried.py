@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from ..frame import Frame, Keyframe
 from ..kernels.se3 import inverse
 from ..measurement import IN_FRONT, LEVELS, State, Subset
-from .alignment import FREE
 from .intruder import only, textured
-from .tracking import Pair, track_frame
+from .tracking import FREE, Pair, track_frame
 from .verification import LIMITS, Verdict, verify
 
 Array = NDArray[np.float64]

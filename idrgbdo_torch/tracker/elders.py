@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from ..frame import Frame
 from ..kernels.se3 import inverse
 from ..measurement import LEVELS, Noise, State, Subset
-from .alignment import FREE, displacement
+from .alignment import displacement
 from .backends import Backend
 from .doubt import BLURRED, sharpness
 from .members import Members
-from .tracking import Pair, Tracked, track_frame
+from .tracking import FREE, Pair, Tracked, track_frame, track_roughly
 from .verification import LIMITS, Verdict, verify
 
 Array = NDArray[np.float64]
@@ -46,12 +46,15 @@ def held_against(
         return tracked, verdict
     if sharpness(Pair(frame, members.keyframes[-1], noise, backend), tracked.T_frame_kf) < BLURRED:
         return tracked, verdict  # it looks otherwise to any of them
+    lost = verdict.doubt(LIMITS.lost)
     for pair, state, T_newest_kf in others(frame, members, noise, backend, tracked):
         said = verify(pair, replace(tracked, T_frame_kf=state.T, affine=state.affine))
         if said.visible < IN_VIEW:
             continue
         if not said.doubt(LIMITS.sure):
             return tracked, said if said.score > verdict.score else verdict
+        if lost and verify(pair, track_roughly(pair, state)).doubt(LIMITS.weak):
+            continue
         subset = Subset(pair.keyframe.coarse, pair.keyframe.points.patch.shape[2])
         again = track_frame(pair, state, pair.keyframe.coarse, subset, FREE, LEVELS)
         better = verify(pair, again)

@@ -11,10 +11,19 @@ from numpy.typing import NDArray
 from ..frame import Keyframe
 from ..kernels.se3 import inverse
 from ..measurement import LEVELS, State, Subset
-from .alignment import FREE, NEAR_LEVELS
-from .features import HALF, Perspective, features, match, pose_from_matches, start_from_features
+from .alignment import NEAR_LEVELS
+from .features import (
+    FULL,
+    HALF,
+    Perspective,
+    features,
+    match,
+    pose_from_matches,
+    start_from_features,
+    worth_the_whole,
+)  # fmt: skip
 from .places import Place, nearest_first
-from .tracking import Pair, Tracked, track_frame
+from .tracking import FREE, Pair, Tracked, track_frame, track_roughly
 from .verification import LIMITS, Verdict, obstructed, verify
 
 Array = NDArray[np.float64]
@@ -67,8 +76,7 @@ def find_near(pair: Pair, T_cam_world: Array, window: dict[int, tuple[Keyframe, 
     for number in neighbours(T_cam_world, window):
         keyframe, T_kf_world = window[number]
         other = replace(pair, keyframe=keyframe)
-        found = sure(number, other, *aligned(other, T_cam_world @ inverse(T_kf_world), LEVELS))
-        if found:
+        if found := sure(number, other, *aligned(other, T_cam_world @ inverse(T_kf_world), LEVELS)):
             return found
     return None
 
@@ -85,6 +93,17 @@ def find_in_places(pair: Pair, places: Sequence[Place]) -> Found | None:
         if start and (found := from_perspective(place.number, replace(pair, keyframe=place.keyframe), start)):
             return found
     return None
+
+
+def find_in_whole_image(pair: Pair, number: int) -> Found | None:
+    """The frame against the newest keyframe, whose number this is, by features of the whole images.
+
+    They cost four times as much, where those of the half-size level are too few for a pose but too many for chance.
+    """
+    if not worth_the_whole(pair.frame, pair.keyframe.frame):
+        return None
+    start = start_from_features(pair.frame, pair.keyframe.frame, FULL)
+    return from_perspective(number, pair, start) if start else None
 
 
 def from_perspective(number: int, pair: Pair, start: Perspective) -> Found | None:

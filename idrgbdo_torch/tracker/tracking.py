@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..config import Config
 from ..frame import Frame, Keyframe
 from ..kernels.se3 import inverse
-from ..measurement import RATE, MotionPrior, Noise, State, Subset
+from ..measurement import LEVELS, RATE, MotionPrior, Noise, State, Subset
 from .backends import Backend
 
 Array = NDArray[np.float64]
@@ -18,6 +18,8 @@ Index = NDArray[np.int64]
 
 STEPS = np.array([8, 10, 12, 12, 12, 12])  # most iterations per level, finest first
 KEYFRAME_GAP = 1.0 / 30.0  # s, gap of the motion prior that a new keyframe's points are chosen with
+FREE = np.diag([1e-2] * 6)  # information of a prior that holds nothing
+ROUGH_STRIDE, ROUGH_PIXELS = 2, 1  # every second spread-out point, and one pixel of its patch
 CLOSE = 3  # levels that it takes from a pose nearby
 AFFINE_PRIOR = np.diag([1.0 / 0.1**2, 1.0 / 10.0**2])  # of gain and gray levels, about the previous frame's
 
@@ -68,6 +70,15 @@ def track_frame(pair: Pair, start: State, index: Index, coarse: Subset, informat
     return Tracked(
         found.T, found.affine, pose_information(found.H), int(found.kept), int(found.iterations), index, found.rms
     )
+
+
+def track_roughly(pair: Pair, start: State) -> Tracked:
+    """Align a frame with few measurements and nothing held, to see whether there is anything to find from a guess.
+
+    A guess that leads nowhere takes as many steps as there are; so they should be cheap.
+    """
+    few = np.ascontiguousarray(pair.keyframe.coarse[::ROUGH_STRIDE])
+    return track_frame(pair, start, few, Subset(few, ROUGH_PIXELS), FREE, LEVELS)
 
 
 def track_closely(pair: Pair, tracked: Tracked, information: Array) -> Tracked:
