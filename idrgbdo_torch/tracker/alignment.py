@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..frame import Frame
 from ..measurement import LEVELS, State, Subset
 from .doubt import align_blurred, is_blurred
-from .features import HALF, start_from_features
+from .features import HALF, start_from_features, strangers
 from .intruder import hidden
 from .keyframe import all_patches
 from .tracking import FREE, Pair, Tracked, track_closely, track_frame
@@ -68,13 +68,13 @@ def align(
         if not verdict.doubt(LIMITS.lost):
             return tracked, verdict, displacement(pair, start.T, tracked.T_frame_kf)
     if verdict.doubt(LIMITS.weak):
+        again, second = recover_by_features(pair, start.affine, index)
+        if second.score > verdict.score or (second.supported and not second.doubt(LIMITS.lost)):
+            tracked, verdict = again, second
+    if verdict.doubt(LIMITS.weak) and not strangers(pair.frame, pair.keyframe.frame):
         far = displacement(pair, start.T, resting) > OTHER_PX
         again, second = recover(pair, [start.T, resting] if far else [start.T], start.affine, index)
         if second.score > verdict.score:
-            tracked, verdict = again, second
-    if verdict.doubt(LIMITS.weak):
-        again, second = recover_by_features(pair, start.affine, index)
-        if second.score > verdict.score or (second.supported and not second.doubt(LIMITS.lost)):
             tracked, verdict = again, second
     surprise_px = displacement(pair, start.T, tracked.T_frame_kf)
     if surprise_px > WIDE_PX and not verdict.doubt(LIMITS.weak):

@@ -18,6 +18,7 @@ from ..measurement import LEVELS, Noise, State, Subset
 from .alignment import displacement
 from .backends import Backend
 from .doubt import BLURRED, sharpness
+from .features import strangers
 from .members import Members
 from .tracking import FREE, Pair, Tracked, track_frame, track_roughly
 from .verification import LIMITS, Verdict, verify
@@ -47,6 +48,8 @@ def held_against(
     if sharpness(Pair(frame, members.keyframes[-1], noise, backend), tracked.T_frame_kf) < BLURRED:
         return tracked, verdict  # it looks otherwise to any of them
     lost = verdict.doubt(LIMITS.lost)
+    if lost and strangers(frame, members.keyframes[-1].frame):
+        return tracked, verdict  # it is sought by what it has in common with others
     for pair, state, T_newest_kf in others(frame, members, noise, backend, tracked):
         said = verify(pair, replace(tracked, T_frame_kf=state.T, affine=state.affine))
         if said.visible < IN_VIEW:

@@ -23,8 +23,7 @@ COUNT = {FULL: 1500, HALF: 500}  # features of an image
 WORDS = 4  # of 64 bits, of a descriptor
 THRESHOLDS = (20, 7)  # gray levels, of a corner; the lower one where an image is smooth, as in motion blur:
 PLENTY = 0.8  # of COUNT, and the lower threshold, which takes twice as long, finds hardly others
-FEW = 250  # features of an image that is small or poor: the whole one costs little there
-CHANCE = 10  # matches of the half-size level; with fewer the whole image never helped, on five recordings
+CHANCE = 6  # matches that may agree with a pose where two images show different places: none in 119 of 121 cases
 RATIO = 0.8  # of the best to the second-best match (Lowe)
 FEWEST = 12  # matches with depth that are worth a try, and that must agree with a pose
 SUPPORT = 20  # matches that speak for a pose whose brightness agrees in half of the points only
@@ -44,6 +43,7 @@ class Features:
     uv: NDArray[np.float32]  # (F, 2) px of its level
     descriptor: NDArray[np.uint8]  # (F, 8 WORDS)
     P: NDArray[np.float32]  # (F, 3) m in the camera; 0 where there is no depth
+    clear: bool = False  # PLENTY of them by the higher of the THRESHOLDS: neither poor nor blurred
 
 
 def features(frame: Frame, level: int) -> Features:
@@ -58,10 +58,12 @@ def detected(frame: Frame, level: int) -> Features:
     """Find them."""
     shown = frame.images[level] if frame.sharp is None or level != FULL else frame.sharp
     image = np.nan_to_num(shown).clip(0.0, 255.0).astype(np.uint8)
+    clear = False
     for threshold in THRESHOLDS:
         detector = cv2.ORB.create(nfeatures=COUNT[level], fastThreshold=threshold)
         keypoints, descriptor = detector.detectAndCompute(image, None)
         if len(keypoints) >= PLENTY * COUNT[level]:
+            clear = threshold == max(THRESHOLDS)
             break
     if not keypoints:
         return Features(np.zeros((0, 2), np.float32), np.zeros((0, 8 * WORDS), np.uint8), np.zeros((0, 3), np.float32))
@@ -72,7 +74,7 @@ def detected(frame: Frame, level: int) -> Features:
     fx, fy, cx, cy = frame.intrinsics[level]
     P = np.column_stack([(uv[:, 0] - cx) / fx * z, (uv[:, 1] - cy) / fy * z, z])
     with np.errstate(over="ignore"):  # of depth that is none
-        return Features(uv, descriptor, P.astype(np.float32))
+        return Features(uv, descriptor, P.astype(np.float32), clear)
 
 
 def match(host: Features, target: Features) -> NDArray[np.int64]:
@@ -123,19 +125,29 @@ def pose_from_matches(host: Features, target: Features, pairs: NDArray[np.int64]
     """pose_from_features() of matches (M, 2) as match() gives them."""
     if len(pairs) < FEWEST:
         return None
-    P, Q = host.P[pairs[:, 0]].astype(np.float64), target.P[pairs[:, 1]].astype(np.float64)
-    uv = target.uv[pairs[:, 1]].astype(np.float64)
-    T = poses_of_triangles(P, Q)
-    agree = agreeing(T, P, uv, camera)
-    best = int(np.argmax(agree.sum(axis=1))) if len(T) else -1
-    if best < 0 or agree[best].sum() < FEWEST:
+    T, agree = most_agreeing(host, target, pairs, camera)
+    if agree.sum() < FEWEST:
         return None
-    refined = refined_perspective(T[best], P[agree[best]], uv[agree[best]], camera)
+    P, uv = host.P[pairs[:, 0]].astype(np.float64), target.uv[pairs[:, 1]].astype(np.float64)
+    refined = refined_perspective(T, P[agree], uv[agree], camera)
     inliers = agreeing(refined[None], P, uv, camera)[0]
     turned = float(np.arccos(np.clip((np.trace(refined[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
     if inliers.sum() < FEWEST or turned > MOST_TURNED:
         return None
     return Perspective(refined, P[inliers], uv[inliers], camera)
+
+
+def most_agreeing(
+    host: Features, target: Features, pairs: NDArray[np.int64], camera: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """The pose (4, 4) of three matches that most of them (M, 2) agree with, and which ones do (M,)."""
+    P, Q = host.P[pairs[:, 0]].astype(np.float64), target.P[pairs[:, 1]].astype(np.float64)
+    T = poses_of_triangles(P, Q)
+    if not len(T):
+        return np.eye(4), np.zeros(len(pairs), bool)
+    agree = agreeing(T, P, target.uv[pairs[:, 1]].astype(np.float64), camera)
+    best = int(np.argmax(agree.sum(axis=1)))
+    return T[best], agree[best]
 
 
 def poses_of_triangles(P: Array, Q: Array) -> Array:
@@ -175,7 +187,10 @@ def start_from_features(frame: Frame, keyframe: Frame, level: int = FULL) -> Per
     return pose_from_features(features(keyframe, level), features(frame, level), frame.intrinsics[level])
 
 
-def worth_the_whole(frame: Frame, keyframe: Frame) -> bool:
-    """Whether features of the whole images may say what those of the half-size level do not."""
+def strangers(frame: Frame, keyframe: Frame) -> bool:
+    """Whether two clear images share no more features of the half-size level than chance would."""
     host, target = features(keyframe, HALF), features(frame, HALF)
-    return min(len(host.uv), len(target.uv)) < FEW or len(match(host, target)) >= CHANCE
+    if not (host.clear and target.clear):
+        return False
+    pairs = match(host, target)
+    return len(pairs) < FEWEST or int(most_agreeing(host, target, pairs, frame.intrinsics[HALF])[1].sum()) < CHANCE

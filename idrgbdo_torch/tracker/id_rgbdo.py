@@ -20,6 +20,7 @@ from .backends import backend_named
 from .between import LATE_COLOR, track_between
 from .doubt import BLURRED, KEPT_IN_VIEW, sharpness, sharpness_since
 from .elders import confirmed, held_against
+from .features import strangers
 from .history import History
 from .instant import steady, takes_time
 from .intruder import without_intruder
@@ -91,7 +92,11 @@ class IdRgbdo(Losing):
         reference, motion, dt = self.reference, self.motion, self.motion.gap(frame.timestamp)
         strict = LIMITS.sure if self.lost_in_a_row else LIMITS.lost
         if reason := unusable(verdict, reference.keyframe.intruded, strict):
-            return self._found_again(frame) or self._lost(frame, reason)
+            if (found := self._found_again(frame)) is not None:
+                return found
+            if (keyframe := self._keyframe_of_last()) is not None:
+                self._adopt_last(keyframe)
+            return self._lost(frame, reason)
         if (settled := self._settled(frame, tracked, reference)) is not None:
             return settled
         tracked, verdict, reached = self._reached(self._pair(frame, reference), tracked, verdict)
@@ -175,16 +180,9 @@ class IdRgbdo(Losing):
         return Pair(frame, reference.keyframe, noise, self.backend)
 
     def _late_keyframe(self, frame: Frame, verdict: Verdict) -> bool:
-        """Make a keyframe of the frame before, which shares most with this one, if that explains this one better.
-
-        Where this one is lost it becomes one in any case, as what is seen again is most likely the last that was seen.
-        """
+        """Make a keyframe of the frame before, which shares most with this one, if that explains this one better."""
         last, turn = self.motion.frame, self.motion.turn
-        known = last is None or last.timestamp == self.history.keyframe_times[-1]
-        if last is None or known or self.history.doubted is not None or self.motion.astray:
-            return False
-        tracked = self.last[1] if self.last else None
-        if self._blurred(last) or (keyframe := self._keyframe(last, self.motion.T_cam_world, tracked)) is None:
+        if last is None or strangers(frame, last) or (keyframe := self._keyframe_of_last()) is None:
             return False
         prior = motion_information(self.config, KEYFRAME_GAP)
         index = self._select(keyframe, np.eye(4), self.config.selection.points, prior, self.noise)
@@ -194,9 +192,22 @@ class IdRgbdo(Losing):
         helps = other.score > verdict.score and not other.doubt(LIMITS.weak)
         self.motion.turn = self.motion.frame_turn if helps else turn
         if helps or verdict.doubt(LIMITS.lost):
-            self.motion.said = self.motion.T_cam_world  # a lost frame is held there, wherever the window moves it
-            self._adopt(keyframe, self.history.T_cam_kf[-1])
+            self._adopt_last(keyframe)
         return helps
+
+    def _keyframe_of_last(self) -> Keyframe | None:
+        """A keyframe of the last frame that was tracked; None where it is one, or cannot be."""
+        last = self.motion.frame
+        if last is None or last.timestamp == self.history.keyframe_times[-1] or self._blurred(last):
+            return None
+        if self.history.doubted is not None or self.motion.astray:
+            return None
+        return self._keyframe(last, self.motion.T_cam_world, self.last[1] if self.last else None)
+
+    def _adopt_last(self, keyframe: Keyframe) -> None:
+        """What is seen after a loss is most likely the last that was seen before, so that is a keyframe."""
+        self.motion.said = self.motion.T_cam_world  # a lost frame is held there, wherever the window moves it
+        self._adopt(keyframe, self.history.T_cam_kf[-1])
 
     def _blurred(self, last: Frame) -> bool:
         """Whether the last frame was blurred."""

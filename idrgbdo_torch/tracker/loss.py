@@ -18,7 +18,7 @@ from .facing import Facing
 from .intruder import blocked
 from .joining import join
 from .motion import PATIENCE
-from .recovery import Found, find_in_places, find_in_whole_image, find_in_window, find_near
+from .recovery import Found, find_in_newest, find_in_places, find_in_window, find_near
 from .reference import Reference
 from .results import found_in, held
 from .tracking import Pair, Tracked
@@ -86,7 +86,7 @@ class Losing(Facing):
             lambda: find_in_window(pair, expected, window),
             lambda: find_in_places(pair, history.places.likely(pair.frame, self.lost_in_a_row)),
             lambda: find_near(pair, expected, window),
-            lambda: find_in_whole_image(pair, number),
+            lambda: find_in_newest(pair, number, expected @ inverse(history.keyframe_poses[number])),
         )
         for search in searches:
             if (found := search()) and (confronted := self._found(frame, found)):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..frame import Keyframe
 from ..kernels.se3 import inverse
 from ..measurement import LEVELS, State, Subset
-from .alignment import NEAR_LEVELS
+from .alignment import NEAR_LEVELS, recover
 from .features import (
     FULL,
     HALF,
@@ -20,10 +20,10 @@ from .features import (
     match,
     pose_from_matches,
     start_from_features,
-    worth_the_whole,
+    strangers,
 )  # fmt: skip
 from .places import Place, nearest_first
-from .tracking import FREE, Pair, Tracked, track_frame, track_roughly
+from .tracking import FREE, Pair, Tracked, track_frame
 from .verification import LIMITS, Verdict, obstructed, verify
 
 Array = NDArray[np.float64]
@@ -95,13 +95,13 @@ def find_in_places(pair: Pair, places: Sequence[Place]) -> Found | None:
     return None
 
 
-def find_in_whole_image(pair: Pair, number: int) -> Found | None:
-    """The frame against the newest keyframe, whose number this is, by features of the whole images.
+def find_in_newest(pair: Pair, number: int, T_frame_kf: Array) -> Found | None:
+    """The frame against the newest keyframe, whose number this is, by what align() leaves out, as it is dear.
 
-    They cost four times as much, where those of the half-size level are too few for a pose but too many for chance.
+    Of strangers, the direct search from where the frame was expected; else, features of the whole images.
     """
-    if not worth_the_whole(pair.frame, pair.keyframe.frame):
-        return None
+    if strangers(pair.frame, pair.keyframe.frame):
+        return sure(number, pair, *recover(pair, [T_frame_kf], np.zeros(2), pair.keyframe.coarse))
     start = start_from_features(pair.frame, pair.keyframe.frame, FULL)
     return from_perspective(number, pair, start) if start else None
 

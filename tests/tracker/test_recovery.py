@@ -18,8 +18,7 @@ from idrgbdo_torch.frame import Frame, RgbdFrame, prepare
 from idrgbdo_torch.kernels.se3 import retract
 from idrgbdo_torch.odometry import Run, Status, TrackResult, run
 from idrgbdo_torch.tracker import alignment, loss, recovery
-from idrgbdo_torch.tracker import features as tracker_features
-from idrgbdo_torch.tracker.features import FULL, Features, features, pose_from_features, worth_the_whole
+from idrgbdo_torch.tracker.features import FULL, HALF, Features, features, pose_from_features, strangers
 from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 from idrgbdo_torch.tracker.places import MOST, Places, without_images
 from idrgbdo_torch.tracker.recovery import aligned
@@ -75,6 +74,7 @@ def test_a_broken_track_joins_what_it_sees_again(desk: Film, monkeypatch: pytest
         blind.setattr(loss, "find_near", lambda *_: None)
         blind.setattr(loss, "find_in_window", lambda *_: None)
         blind.setattr(loss, "find_in_places", lambda *_: None)
+        blind.setattr(loss, "find_in_newest", lambda *_: None)
         blind.setattr(alignment, "start_from_features", lambda *_: None)
         blind.setattr(odometry, "_start_segment", partial(start_elsewhere, odometry))
         before = [odometry.track(frame) for frame in frames[:23]]
@@ -181,20 +181,47 @@ def test_a_frame_without_depth_is_not_searched_for(
     with monkeypatch.context() as searching:
         searching.setattr(alignment, "recover", fail)
         searching.setattr(alignment, "start_from_features", fail)
-        for name in ("find_near", "find_in_window", "find_in_places"):
+        for name in ("find_near", "find_in_window", "find_in_places", "find_in_newest"):
             searching.setattr(loss, name, fail)
         assert [odometry.track(frame).status for frame in hidden] == [Status.LOST] * 3
     T = odometry.track(desk.frames[9]).T_world_cam
     assert float((T[:3, 3] - desk.T(0, 9)[:3, 3]).norm()) < 0.005
 
 
-def test_the_whole_image_is_asked_where_half_of_it_says_something(desk: Film, monkeypatch: pytest.MonkeyPatch) -> None:
+def clear(frame: Frame, monkeypatch: pytest.MonkeyPatch) -> Frame:
+    """The frame, with its features said to be of a clear image: those of a small one are few."""
+    found = replace(features(frame, HALF), clear=True)
+    monkeypatch.setitem(vars(frame)["_features"], HALF, found)
+    return frame
+
+
+def test_clear_images_of_different_places_are_strangers(desk: Film, monkeypatch: pytest.MonkeyPatch) -> None:
     elsewhere = film(replace(SMALL, kind="structure_texture", frames=1, seed=11))
-    here, near, other = (prepare(frame) for frame in (desk.frames[0], desk.frames[8], elsewhere.frames[0]))
-    assert worth_the_whole(other, here)  # a small image, which costs little
-    monkeypatch.setattr(tracker_features, "FEW", 0)
-    assert worth_the_whole(near, here)
-    assert not worth_the_whole(other, here)
+    here, near, other = (prepare(frame) for frame in (desk.frames[0], desk.frames[4], elsewhere.frames[0]))
+    assert not strangers(other, here)  # small images are never clear
+    here, near, other = (clear(frame, monkeypatch) for frame in (here, near, other))
+    assert not strangers(near, here)
+    assert strangers(other, here) and strangers(here, other)
+
+
+def test_what_is_dear_comes_last(desk: Film, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Strangers are not searched for directly until nothing else finds them, and the whole image is asked last."""
+    searches: list[str] = []
+
+    def noted(name: str) -> None:
+        monkeypatch.setattr(loss, name, lambda *_: searches.append(name))
+
+    monkeypatch.setattr(alignment, "strangers", lambda *_: True)
+    monkeypatch.setattr(alignment, "recover", fail)
+    monkeypatch.setattr(recovery, "strangers", lambda *_: True)
+    monkeypatch.setattr(recovery, "recover", lambda *_: searches.append("recover") or alignment.NOTHING)
+    for name in ("find_in_window", "find_in_places", "find_near"):
+        noted(name)
+    elsewhere = film(replace(SMALL, kind="structure_texture", frames=1, seed=11)).frames[0]
+    odometry = IdRgbdo()
+    run(odometry, desk.frames[:4])
+    assert odometry.track(replace(elsewhere, timestamp=4 / 30)).status is Status.LOST
+    assert searches == ["find_in_window", "find_in_places", "find_near", "recover"]
 
 
 def test_few_places_are_tried_the_most_alike_first(desk: Film, monkeypatch: pytest.MonkeyPatch) -> None:
