@@ -82,12 +82,13 @@ class Losing(Facing):
         if history.doubted is not None:  # else it has been tried
             window[number] = newest, history.keyframe_poses[number]
         expected = self.motion.predicted(self.motion.gap(frame.timestamp))
-        searches: tuple[Callable[[], Found | None], ...] = (
+        searches: list[Callable[[], Found | None]] = [
             lambda: find_in_window(pair, expected, window),
             lambda: find_in_places(pair, history.places.likely(pair.frame, self.lost_in_a_row)),
             lambda: find_near(pair, expected, window),
-            lambda: find_in_newest(pair, number, expected @ inverse(history.keyframe_poses[number])),
-        )
+        ]
+        if not (newest.intruded or self.motion.contested):  # else it may show the same thing in front
+            searches.append(lambda: find_in_newest(pair, number, expected @ inverse(history.keyframe_poses[number])))
         for search in searches:
             if (found := search()) and (confronted := self._found(frame, found)):
                 return self._adopt_found(frame, confronted)
