@@ -12,15 +12,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .config import NoiseConfig
+from .config import Config, NoiseConfig, TrackingConfig
 from .errors import IdRgbdoError
 
 Array = NDArray[Any]
 
-PATTERN = np.array(  # (8, 2) px, the residual pattern of DSO, centre first, so that its first pixel is a point alone
-    [[0, 0], [0, -2], [-1, -1], [1, -1], [-2, 0], [2, 0], [-1, 1], [0, 2]], dtype=np.float64
-)
-PATTERN_U, PATTERN_V = np.ascontiguousarray(PATTERN[:, 0]), np.ascontiguousarray(PATTERN[:, 1])
+COMPACT, WIDE = (
+    0,
+    1,
+)  # patterns: DSO's, and one for the finest level where the plane around a point is known, as wide as that
+RING = 2 * np.pi * np.arange(7) / 7
+PATTERNS = np.array([  # (2, 8, 2) px, centre first, so that the first pixel is a point alone
+    [[0, 0], [0, -2], [-1, -1], [1, -1], [-2, 0], [2, 0], [-1, 1], [0, 2]],
+    [[0, 0], *3.0 * np.column_stack([np.sin(RING), -np.cos(RING)])],
+])  # fmt: skip
+PATTERN = PATTERNS[COMPACT]
 PIXELS = len(PATTERN)
 LEVELS = 6  # of every pyramid; tracking starts at its configured one, recovery at the coarsest
 COARSE_BLUR = 1.2  # px, standard deviation of the blur of the coarse levels
@@ -54,6 +60,7 @@ class Noise(NamedTuple):
     paper_variance: bool
     gradient_blend: float  # share of the reference gradient in the Jacobian
     coarse: float  # share of what level 1 says of a pose that counts on the finest level
+    pattern: int  # of the patches of the finest level: COMPACT or WIDE; on the others they are COMPACT
 
 
 class Points(NamedTuple):
@@ -252,8 +259,18 @@ def inverse_depth_sigma(focal_baseline: float, sigma_disparity: float) -> float:
     return sigma_disparity / focal_baseline
 
 
-def kernel_noise(config: NoiseConfig, patch: int = PIXELS) -> Noise:
-    """NoiseConfig as plain numbers, for points of so many pixels."""
+def pattern_of(config: TrackingConfig) -> int:
+    """Of the patches of the finest level: as wide as the plane that is fitted around each point, where that is used."""
+    return WIDE if config.slant else COMPACT
+
+
+def tracked_noise(config: Config) -> Noise:
+    """NoiseConfig as plain numbers, for the patches that frames are tracked by."""
+    return kernel_noise(config.noise, config.tracking.patch, pattern_of(config.tracking))
+
+
+def kernel_noise(config: NoiseConfig, patch: int = PIXELS, pattern: int = COMPACT) -> Noise:
+    """NoiseConfig as plain numbers, for points of so many pixels in a pattern."""
     shared = float(patch)
     return Noise(
         var_intensity=config.sigma_intensity**2,
@@ -267,6 +284,7 @@ def kernel_noise(config: NoiseConfig, patch: int = PIXELS) -> Noise:
         paper_variance=config.variance == "paper",
         gradient_blend=config.gradient_blend,
         coarse=config.coarse,
+        pattern=pattern,
     )
 
 

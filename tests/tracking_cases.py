@@ -12,7 +12,7 @@ from torch import Tensor
 from idrgbdo_torch.config import Config
 from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.frame import Frame, Keyframe, prepare
-from idrgbdo_torch.measurement import PIXELS, Noise, State, Subset, kernel_noise
+from idrgbdo_torch.measurement import PIXELS, Noise, State, Subset, tracked_noise
 from idrgbdo_torch.tracker.backends import Backend, backend_named
 from idrgbdo_torch.tracker.keyframe import make_keyframe
 from idrgbdo_torch.tracker.selection import select_points
@@ -20,7 +20,7 @@ from idrgbdo_torch.tracker.tracking import Pair, Tracked, motion_information, tr
 
 CONFIG = Config()
 FUSED, TORCH = backend_named("fused"), backend_named("torch")
-NOISE = kernel_noise(CONFIG.noise)
+NOISE = tracked_noise(CONFIG)
 PRIOR = motion_information(CONFIG, 0.1)
 EYE = np.eye(4)
 NO_CHANGE = np.zeros(2)  # of brightness

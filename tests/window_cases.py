@@ -13,7 +13,7 @@ from torch import Tensor
 from idrgbdo_torch.config import Config, WindowConfig
 from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.frame import Keyframe, prepare
-from idrgbdo_torch.measurement import kernel_noise
+from idrgbdo_torch.measurement import tracked_noise
 from idrgbdo_torch.tracker.backends import backend_named
 from idrgbdo_torch.tracker.keyframe import make_keyframe
 from idrgbdo_torch.tracker.selection import select_points
@@ -23,7 +23,7 @@ from idrgbdo_torch.tracker.window import Window
 FRAMES = (0, 4, 8, 12, 16, 20, 24)
 FUSED = backend_named("fused")
 CONFIG = replace(Config(), window=WindowConfig(keyframes=5))
-NOISE = kernel_noise(CONFIG.noise)
+NOISE = tracked_noise(CONFIG)
 PRIOR = motion_information(CONFIG, 1 / 30)
 NO_CHANGE = np.zeros(2)
 MM = 1e-3

@@ -10,10 +10,9 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, pad
 
 from ..errors import IdRgbdoError
-from ..measurement import TIER, WEAKEST
+from ..measurement import PATTERNS, TIER, WEAKEST
 from .convert import SMALLEST, Array
 from .image import gradient as image_gradient
-from .photometric import PATTERN
 from .points import sample_patterns
 from .solver import solve
 
@@ -96,12 +95,16 @@ def grid_candidates(
 
 
 def sample_patches(
-    images: Sequence[Array], uv: Array, index: Array, levels: range, patch: Array, gradient: Array
+    images: Sequence[Array], uv: Array, index: Array, levels: range, pattern: int, patch: Array, gradient: Array
 ) -> None:
-    """Fill reference intensities (L, N, P) and gradients (L, N, P, 2) of some points on some levels."""
+    """Fill reference intensities (L, N, P) and gradients (L, N, P, 2) of some points on some levels.
+
+    pattern: of the finest level; the others have COMPACT ones.
+    """
     # sides shrink with the level, so what is too small comes last
     pyramid = [torch.from_numpy(image) for image in images[: levels.stop] if min(image.shape) >= SMALLEST]
-    patches, gradients = sample_patterns(pyramid, torch.from_numpy(uv[index]), PATTERN[: patch.shape[2]])
+    offsets = torch.from_numpy(PATTERNS[pattern, : patch.shape[2]])
+    patches, gradients = sample_patterns(pyramid, torch.from_numpy(uv[index]), offsets)
     patch[levels.start : levels.stop, index] = gradient[levels.start : levels.stop, index] = 0.0
     for level in range(levels.start, len(pyramid)):
         patch[level, index] = patches[level].float().numpy()

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..measurement import Noise, Points
+from ..measurement import WIDE, Noise, Points
 from .camera import Pinhole
 from .linearise import ResidualNoise
 from .points import HostPoints
@@ -38,6 +38,7 @@ def noise_of_arrays(noise: Noise) -> ResidualNoise:
         use_depth=noise.use_depth,
         mode="paper" if noise.paper_variance else "first_order",
         gradient_blend=noise.gradient_blend,
+        wide=noise.pattern == WIDE,
     )
 
 

@@ -21,6 +21,7 @@ from .image import sample_surface
 from .photometric import (
     PATTERN,
     PATTERN_1,
+    WIDE_PATTERN,
     Warp,
     depth_residual,
     distortion_weight,
@@ -51,6 +52,7 @@ class ResidualNoise:
     use_depth: bool
     mode: Literal["first_order", "paper"]
     gradient_blend: float  # share of the keyframe's gradient in the Jacobian
+    wide: bool = False  # whether patches of the finest level have the WIDE_PATTERN
 
 
 @door
@@ -135,8 +137,9 @@ def linearise_pairs(
     exists = points.inverse_depth > 0
     d = torch.where(exists, points.inverse_depth, 1.0)  # (B, N)
     T = T_target_host.to(d)[:, None]  # (B, 1, 4, 4)
-    slope = None if points.slope is None else points.slope * 2.0**level  # per px of the level
-    warped = warp(camera, at_level(points.uv, level), d, T, PATTERN[:pixels], slope)
+    slope = None if level else points.slope  # a patch of a coarse level is larger than what is known to be plane
+    pattern = WIDE_PATTERN if noise.wide and level == 0 else PATTERN
+    warped = warp(camera, at_level(points.uv, level), d, T, pattern[:pixels], slope)
     brightness = affine.to(d)[:, None]
     term = linearize(target.image, warped, points.patch[level][..., :pixels].to(d), brightness)
 

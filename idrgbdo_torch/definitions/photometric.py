@@ -21,6 +21,7 @@ from .image import AGREEMENT, sample_surface, sample_with_gradient
 from .se3 import hat, transform
 
 PATTERN = torch.from_numpy(measurement.PATTERN)  # (8, 2) px, the residual pattern of DSO, its centre first
+WIDE_PATTERN = torch.from_numpy(measurement.PATTERNS[measurement.WIDE])  # for the finest level, with a slope
 PATTERN_1 = torch.zeros(1, 2, dtype=torch.float64)  # (1, 2) px, the centre alone
 
 

@@ -105,12 +105,14 @@ def tracking_pyramid(gray: Tensor, levels: int) -> tuple[Tensor, ...]:
 def sample_patterns(images: Sequence[Tensor], uv: Tensor, pattern: Tensor) -> tuple[list[Tensor], list[Tensor]]:
     """Intensities (*B, N, P) and gradients (*B, N, P, 2) of pyramid images (*B, H, W) around level-0 pixels (*B, N, 2).
 
-    Clamped near the border: coarse levels have less room, and a clamped pixel is still a fair guess.
+    pattern (P, 2): of the finest level; the others have PATTERN. Clamped near the border: coarse levels have less room,
+    and a clamped pixel is still a fair guess.
     """
     patches, gradients = [], []
     for level, image in enumerate(images):
         last = uv.new_tensor([image.shape[-1] - 2.001, image.shape[-2] - 2.001])
-        at = (at_level(uv, level)[..., None, :] + pattern.to(uv)).clamp(min=1.0).minimum(last)
+        offsets = PATTERN[: len(pattern)] if level else pattern
+        at = (at_level(uv, level)[..., None, :] + offsets.to(uv)).clamp(min=1.0).minimum(last)
         intensity, gradient, _ = sample_with_gradient(image, at)
         patches.append(intensity)
         gradients.append(gradient)

@@ -6,13 +6,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..measurement import OTHER_SURFACE, STEP, Noise, Views, WindowPairs, WindowPoints, WindowState
+from ..measurement import OTHER_SURFACE, STEP, WIDE, Noise, Views, WindowPairs, WindowPoints, WindowState
 from .convert import Array, noise_of_arrays, pinhole
 from .image import sample_surface
 from .linearise import gradient_in_target
 from .photometric import (
     PATTERN,
     PATTERN_1,
+    WIDE_PATTERN,
     Warp,
     distortion_weight,
     linearize,
@@ -52,7 +53,8 @@ def linearise_window(
     gain = (brightness[:, None, 0] - brightness[None, :, 0]).exp()  # (K, K)
 
     T = relative_poses(torch.from_numpy(state.T))  # (K, K, 1, 4, 4)
-    now = warp(camera, pixel, d, T, PATTERN[: patch.shape[-1]], slope.expand(K, K, N, 2))
+    pattern = WIDE_PATTERN if noise.pattern == WIDE else PATTERN
+    now = warp(camera, pixel, d, T, pattern[: patch.shape[-1]], slope.expand(K, K, N, 2))
     linear = warp(camera, pixel, d, relative_poses(torch.from_numpy(state.T_linear)), PATTERN_1)
     relative = torch.stack([gain.log(), brightness[:, None, 1].expand(K, K)], dim=-1)[:, :, None]  # (K, K, 1, 2)
     term = linearize(gray, now, patch.double() - brightness[:, 1, None, None], relative)

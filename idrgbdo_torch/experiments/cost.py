@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..config import Config
 from ..frame import Keyframe, RgbdFrame, prepare
 from ..kernels.se3 import inverse, retract
-from ..measurement import State, Subset, WindowPairs, kernel_noise
+from ..measurement import State, Subset, WindowPairs, tracked_noise
 from ..synthetic import SynthConfig
 from ..synthetic.sequence import RenderedSequence
 from ..tracker.backends import backend_named
@@ -87,7 +87,7 @@ def tracking_case(scene: Scene, points: int, *, select: bool = False, config: Co
     What a frame needs whatever the points, its pyramid above all, is done before. `config` stands for configured().
     """
     config = config or configured(points)
-    noise = kernel_noise(config.noise)
+    noise = tracked_noise(config)
     keyframe, frame, T_guess = _keyframe(scene, config), prepare(scene.frames[1], config.tracking.blur), _guess(scene)
     prior = motion_information(config, DT)
     choose = selection_case(scene, points, config=config)
@@ -105,7 +105,7 @@ def tracking_case(scene: Scene, points: int, *, select: bool = False, config: Co
 def selection_case(scene: Scene, points: int, *, config: Config | None = None) -> Case:
     """Choose so many of the first frame's candidates for the second."""
     config = config or configured(points)
-    noise = kernel_noise(config.noise)
+    noise = tracked_noise(config)
     keyframe, T_guess, prior = _keyframe(scene, config), _guess(scene), motion_information(config, DT)
 
     def choose() -> Any:
@@ -119,7 +119,7 @@ def window_case(scene: Scene, points: int, keyframes: int) -> Case:
     """Optimise a window of so many keyframes with so many points each, from poses that are a little off."""
     config = configured(points)
     config = replace(config, window=replace(config.window, keyframes=keyframes))
-    noise, rng = kernel_noise(config.noise), np.random.default_rng(0)
+    noise, rng = tracked_noise(config), np.random.default_rng(0)
     prior = motion_information(config, DT)
     window = Window(config, noise, FUSED)
     for number in range(keyframes):

@@ -6,7 +6,7 @@ from math import sqrt
 
 import numpy as np
 
-from ..measurement import PATTERN_U, PATTERN_V, TIER, WEAKEST
+from ..measurement import COMPACT, PATTERNS, TIER, WEAKEST
 from .compiled import kernel
 from .image import sample
 
@@ -226,20 +226,24 @@ def planes_at(depth, uv, radius, sigma):
 
 
 @kernel
-def sample_patches(images, uv, index, first, end, patch, gradient):
-    """Fill reference intensities (L, N, P) and gradients (L, N, P, 2) of some points on levels first to end."""
+def sample_patches(images, uv, index, first, end, pattern, patch, gradient):
+    """Fill reference intensities (L, N, P) and gradients (L, N, P, 2) of some points on levels first to end.
+
+    pattern: of the finest level; the others have COMPACT ones.
+    """
     pixels = patch.shape[2]
     for level in range(first, end):
         image = images[level]
         size = 0.5**level
+        which = pattern if level == 0 else COMPACT
         for n in range(index.shape[0]):
             i = index[n]
             u0 = (uv[i, 0] + 0.5) * size - 0.5
             v0 = (uv[i, 1] + 0.5) * size - 0.5
             for k in range(pixels):
                 # clamped near the border: coarse levels have less room, and a clamped pixel is still a fair guess
-                u = min(max(u0 + PATTERN_U[k], 1.0), image.shape[1] - 2.001)
-                v = min(max(v0 + PATTERN_V[k], 1.0), image.shape[0] - 2.001)
+                u = min(max(u0 + PATTERNS[which, k, 0], 1.0), image.shape[1] - 2.001)
+                v = min(max(v0 + PATTERNS[which, k, 1], 1.0), image.shape[0] - 2.001)
                 _ok, value, gu, gv = sample(image, u, v)
                 patch[level, i, k] = value
                 gradient[level, i, k, 0] = gu

@@ -6,7 +6,7 @@ from math import exp, sqrt
 
 import numpy as np
 
-from ..measurement import PIXELS
+from ..measurement import COMPACT, PIXELS
 from . import patch as at
 from .compiled import exact_kernel
 from .equations import add_depths, add_patches, add_up, measure_depths, new_equations, pose_jacobians
@@ -27,7 +27,7 @@ def linearise(view, level, points, subset, state, scale, limit, noise, system):
     index, count = subset.which, subset.pixels
     rms = system.rms
     bright = Brightness(exp(state.affine[0]), 0.0, state.affine[1], 1.0 / (scale * scale))
-    whole = new_room(count)
+    whole = new_room(count, noise.pattern if level == 0 else COMPACT)
     equations = new_equations()
     weights = new_weights(subset.weight)
     energy = 0.0
@@ -74,8 +74,9 @@ def host_rows(points, index, first, level, room):
         rows[at.V + n] = (points.uv[p, 1] + 0.5) * size - 0.5
         rows[at.D + n] = points.inv_depth[p]
         rows[at.VAR_D + n] = points.var_inv_depth[p]
-        rows[at.SLOPE_U + n] = points.slope[p, 0] / size
-        rows[at.SLOPE_V + n] = points.slope[p, 1] / size
+        # a patch of a coarse level is larger than what is known to be plane
+        rows[at.SLOPE_U + n] = points.slope[p, 0] if level == 0 else 0.0
+        rows[at.SLOPE_V + n] = points.slope[p, 1] if level == 0 else 0.0
         for k in range(room.used):
             row = at.PIXEL_ROWS * k + n
             pixels[at.VALUE + row] = points.patch[level, p, k]

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..measurement import PATTERN_U, PATTERN_V, PIXELS, Array
+from ..measurement import PATTERNS, PIXELS, Array
 from .compiled import exact_kernel
 from .image import interpolate
 from .photometric import along_depth, distortion, distortion_weight, moved, photometric_variance
@@ -45,7 +45,8 @@ class Room(NamedTuple):
     pixels: Array  # (PIXELS PIXEL_ROWS,) float32
     places: Array  # (2 PIXELS LANES,) px
     lanes: int  # that are in use; a number that the compiler does not know, or it would take them one by one
-    used: int  # pixels of the pattern that take part
+    used: int  # pixels of the pattern that take part,
+    pattern: int  # and which one
 
 
 class Brightness(NamedTuple):
@@ -58,17 +59,22 @@ class Brightness(NamedTuple):
 
 
 @exact_kernel
-def new_room(count):
-    """Room for LANES points, of which so many pixels take part."""
+def new_room(count, pattern):
+    """Room for LANES points, of whose patterns so many pixels take part."""
     return Room(
-        np.zeros(POINT_ROWS), np.zeros(PIXELS * PIXEL_ROWS, np.float32), np.zeros(2 * PIXELS * LANES), LANES, count
+        np.zeros(POINT_ROWS),
+        np.zeros(PIXELS * PIXEL_ROWS, np.float32),
+        np.zeros(2 * PIXELS * LANES),
+        LANES,
+        count,
+        pattern,
     )
 
 
 @exact_kernel
 def lanes_for(room, points):
     """The same room with lanes enough for so many points, or all that it has."""
-    return Room(room.points, room.pixels, room.places, min(LANES, (points + 3) // 4 * 4), room.used)
+    return Room(room.points, room.pixels, room.places, min(LANES, (points + 3) // 4 * 4), room.used, room.pattern)
 
 
 @exact_kernel
@@ -137,7 +143,7 @@ def project(image, camera, T, room):
     xv, yv, zv = T[0, 1] / fy, T[1, 1] / fy, T[2, 1] / fy
     xd, yd, zd = T[0, 3], T[1, 3], T[2, 3]
     for k in range(room.used):
-        a, b = PATTERN_U[k], PATTERN_V[k]
+        a, b = PATTERNS[room.pattern, k, 0], PATTERNS[room.pattern, k, 1]
         row = LANES * k
         for n in range(lanes):
             od = points[SLOPE_U + n] * a + points[SLOPE_V + n] * b

@@ -34,14 +34,14 @@ def linearise_window(views, state, points, which, limit, noise, pairs):
     T_cam_world, T_linear, affine = state.T, state.T_linear, state.affine
     K, N = state.inv_depth.shape
     chunks = (N + LANES - 1) // LANES
-    whole = new_room(points.patch.shape[2])
+    whole = new_room(points.patch.shape[2], noise.pattern)
     rows = np.zeros((chunks, whole.points.shape[0]))
     pixels = np.zeros((chunks, whole.pixels.shape[0]), np.float32)
     for host in range(K):
         if not which[host].any():
             continue
         for chunk in range(chunks):
-            room = Room(rows[chunk], pixels[chunk], whole.places, LANES, whole.used)
+            room = Room(rows[chunk], pixels[chunk], whole.places, LANES, whole.used, whole.pattern)
             host_rows(points, state.inv_depth, host, chunk * LANES, room)
         for target in range(K):
             if target == host or not which[host, target]:
@@ -53,7 +53,8 @@ def linearise_window(views, state, points, which, limit, noise, pairs):
             equations = new_equations()
             energy = 0.0
             for chunk in range(chunks):
-                room = lanes_for(Room(rows[chunk], pixels[chunk], whole.places, LANES, whole.used), N - chunk * LANES)
+                room = Room(rows[chunk], pixels[chunk], whole.places, LANES, whole.used, whole.pattern)
+                room = lanes_for(room, N - chunk * LANES)
                 pair = (host, target, chunk * LANES)
                 energy += linearise_pair(views, (T, T0), bright, pair, limit, noise, room, equations, pairs)
                 keep_points(pair, room, equations.jacobians, pairs)

@@ -59,9 +59,10 @@ class Backend(Protocol):
         """At most count indices, spread over the cells (N,)."""
 
     def sample_patches(
-        self, images: Sequence[Array], uv: Array, index: Array, levels: range, patch: Array, gradient: Array
-    ) -> None:
-        """Fill patch (L, N, P) and gradient (L, N, P, 2) of some points on some levels."""
+        self, images: Sequence[Array], uv: Array, index: Array, levels: range, pattern: int, patch: Array,
+        gradient: Array,
+    ) -> None:  # fmt: skip
+        """Fill patch (L, N, P) and gradient (L, N, P, 2) of some points on some levels; pattern: of the finest one."""
 
     # selection (section 4.1, step 3)
 

@@ -24,7 +24,7 @@ from ..frame import gray_pyramid
 from ..kernels import pairs
 from ..kernels.candidates import sample_patches
 from ..kernels.pairs import After, At, Search, Starts, Systems, Targets
-from ..measurement import LEVELS, PIXELS, Array, Noise, Points
+from ..measurement import COMPACT, LEVELS, PIXELS, WIDE, Array, Noise, Points
 
 CHUNK = 8  # pairs at most that a thread takes at once: their pyramids stay in its cache
 
@@ -95,7 +95,7 @@ def kernel_noise_of(noise: ResidualNoise, depth: bool) -> Noise:
     intensity, pixel, reading = (float(x) for x in (noise.sigma_intensity, noise.sigma_pixel, noise.sigma_depth))
     return Noise(
         intensity**2, noise.shared * pixel**2, reading**2, noise.shared, noise.c_h, noise.huber, noise.outlier,
-        noise.use_depth and depth, noise.mode == "paper", noise.gradient_blend, 0.0,
+        noise.use_depth and depth, noise.mode == "paper", noise.gradient_blend, 0.0, WIDE if noise.wide else COMPACT,
     )  # fmt: skip
 
 
@@ -222,7 +222,7 @@ def sampled(gray: Tensor, uv: Tensor, levels: int) -> tuple[Tensor, Tensor]:
         for b in range(first, end):
             each = gray_pyramid(images[b], levels)
             some = (*each, *each[-1:] * (LEVELS - levels))
-            sample_patches(some, at[b], index, 0, levels, patch[b], gradient[b])
+            sample_patches(some, at[b], index, 0, levels, COMPACT, patch[b], gradient[b])
 
     in_threads(work, len(gray))
     return torch.from_numpy(patch), torch.from_numpy(gradient)

@@ -20,7 +20,7 @@ from ..definitions.camera import Pinhole
 from ..definitions.convert import inverse_of_depth
 from ..definitions.image import sample_surface, sample_with_gradient
 from ..frame import Frame, Keyframe
-from ..measurement import FLOOR, OTHER_SURFACE, PATTERN_U, PATTERN_V, STEP, Noise
+from ..measurement import FLOOR, OTHER_SURFACE, PATTERNS, STEP, WIDE, Noise
 from .backends import Backend
 from .candidates import PLANE_RADIUS
 from .instant import flow
@@ -198,9 +198,10 @@ def patch_equations(
     points: Hosted, placed: Placed, T: Array, frame: Frame, noise: Noise, backend: Backend
 ) -> tuple[Array, Array, NDArray[np.bool_]] | None:
     """What the patches say of [u, v, a, b]: G (N, 4, 4), c (N, 4), and which points were kept; None if too few."""
-    camera, R = frame.camera, T[:3, :3]
+    camera, R, offsets = frame.camera, T[:3, :3], PATTERNS[noise.pattern]
+    nearer = points.slope @ offsets.T if noise.pattern == WIDE else 0.0  # 1/m: a compact patch is as far as its centre
     q = [
-        (of * placed.z)[:, None] + R[row, 0] / camera.fx * PATTERN_U + R[row, 1] / camera.fy * PATTERN_V
+        (of * placed.z)[:, None] + offsets @ (R[row, :2] / [camera.fx, camera.fy]) + T[row, 3] * nearer
         for row, of in enumerate((placed.x, placed.y, np.ones_like(placed.x)))
     ]
     z = np.maximum(q[2], 1e-3)

@@ -33,8 +33,11 @@ STEP_SHARE = 0.05  # by this share of it
 ROWS = 15  # of such cells at least, which small images get by smaller ones
 
 
-def extract_candidates(frame: Frame, config: Config, rng: Generator, backend: Backend) -> tuple[Array, Array]:
-    """uv (N, 2), inverse depth (N,) of the pixels worth choosing from; rand takes any pixel with depth."""
+def extract_candidates(frame: Frame, config: Config, rng: Generator, backend: Backend) -> tuple[Array, Array, Array]:
+    """uv (N, 2), inverse depth (N,) of the pixels worth choosing from, and its slope (N, 2) where that is asked.
+
+    rand takes any pixel with depth.
+    """
     mode = config.selection.mode
     sigma = inverse_depth_sigma(config.noise.focal_baseline, config.noise.sigma_disparity)
     depth = without_speckles(frame.depth)
@@ -44,9 +47,9 @@ def extract_candidates(frame: Frame, config: Config, rng: Generator, backend: Ba
         u = rng.integers(BORDER, width - BORDER, tries)
         v = rng.integers(BORDER, height - BORDER, tries)
         uv: Array = rng.permutation(np.unique(np.column_stack([u, v]), axis=0)).astype(np.float64)
-        valid, inv_depth, _ = backend.planes_at(depth, uv, PLANE_RADIUS, sigma)
+        valid, inv_depth, slope = backend.planes_at(depth, uv, PLANE_RADIUS, sigma)
         keep = np.flatnonzero(valid)[: config.candidates]
-        return uv[keep], inv_depth[keep]
+        return uv[keep], inv_depth[keep], slope[keep] * config.tracking.slant
     gradient2 = backend.gradient_squared(frame.images[0])
     thresholds = backend.block_thresholds(gradient2, BLOCK, THRESHOLD_OFFSET)
     with np.errstate(invalid="ignore"):  # of pixels that are no numbers
@@ -60,7 +63,11 @@ def extract_candidates(frame: Frame, config: Config, rng: Generator, backend: Ba
     u, v = uv.astype(np.int64).T
     strong = gradient2[v, u] > STRONG**2 * thresholds[v // BLOCK, u // BLOCK]
     enough = strong.sum() >= ENOUGH * config.candidates
-    return (uv[strong], inv_depth[strong]) if enough else (uv, inv_depth)
+    if enough:
+        uv, inv_depth = uv[strong], inv_depth[strong]
+    slanted = config.tracking.slant
+    slope = backend.planes_at(depth, uv, PLANE_RADIUS, sigma)[2] if slanted else np.zeros((len(uv), 2))
+    return uv, inv_depth, slope
 
 
 def without_speckles(depth: Array) -> Array:

@@ -63,9 +63,10 @@ class Fused:
         return out
 
     def sample_patches(
-        self, images: Sequence[Array], uv: Array, index: Array, levels: range, patch: Array, gradient: Array
-    ) -> None:
-        candidates.sample_patches(images, uv, index, levels.start, levels.stop, patch, gradient)
+        self, images: Sequence[Array], uv: Array, index: Array, levels: range, pattern: int, patch: Array,
+        gradient: Array,
+    ) -> None:  # fmt: skip
+        candidates.sample_patches(images, uv, index, levels.start, levels.stop, pattern, patch, gradient)
 
     def whitened_rows(
         self, camera: Pinhole, margin: float, points: Points, index: Array, T: Array, noise: Noise

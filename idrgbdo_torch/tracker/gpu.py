@@ -18,7 +18,7 @@ from ..definitions.linearise import ResidualNoise
 from ..definitions.pairs import AlignedPairs, PairsTask, concluded, inverse_of, problems_of, result_of
 from ..definitions.points import HostPoints
 from ..definitions.tracking import Estimate, Found, Heard, Prior, Problem, descend
-from ..measurement import PATTERN, PIXELS
+from ..measurement import COMPACT, PATTERNS, PIXELS, WIDE
 from . import gpu_images
 from .batch import recorded, sigmas_of, uniform
 
@@ -145,8 +145,9 @@ def numbers_of(problems: Sequence[Problem], noise: ResidualNoise) -> Tensor:
     for problem in problems:
         level, camera = problem.target.level, problem.target.camera.at_level(problem.target.level)
         known = [camera.fx, camera.fy, camera.cx, camera.cy, 2.0**level]
+        pattern = PATTERNS[WIDE if noise.wide and level == 0 else COMPACT]
         rest = [noise.shared, noise.c_h, noise.huber, noise.gradient_blend]
-        lines.append([*known, 0.0, 0.0, 0.0, *rest, *PATTERN.T.ravel().tolist()])
+        lines.append([*known, 0.0, 0.0, 0.0, *rest, *pattern.T.ravel().tolist()])
     numbers = torch.tensor(lines, dtype=torch.float64)
     sigmas = (noise.sigma_intensity, noise.sigma_pixel, noise.sigma_depth)
     if not sigmas_of(noise):

@@ -13,7 +13,7 @@ from ..config import Config, checked
 from ..definitions.given import rigid
 from ..frame import Frame, Keyframe, RgbdFrame, check_next
 from ..kernels.se3 import inverse
-from ..measurement import Noise, State, kernel_noise, with_blur
+from ..measurement import Noise, State, tracked_noise, with_blur
 from ..odometry import TrackResult
 from .alignment import align, displacement
 from .backends import backend_named
@@ -51,7 +51,7 @@ class IdRgbdo(Losing):
     def __init__(self, config: Config | None = None, *, compile_ahead: bool = True) -> None:
         """compile_ahead: compile the kernels now if they are not in the cache (seconds, with a notice; see warmup)."""
         self.config = checked(config)
-        self.noise = kernel_noise(self.config.noise, self.config.tracking.patch)
+        self.noise = tracked_noise(self.config)
         self.backend = backend_named(self.config.backend)
         self.reset()
         if compile_ahead and self.config.backend == "fused":

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from ..config import Config, KeyframeConfig
 from ..frame import Frame, Keyframe
-from ..measurement import Points, inverse_depth_sigma
+from ..measurement import COMPACT, Points, inverse_depth_sigma, pattern_of
 from .backends import Backend
-from .candidates import PLANE_RADIUS, extract_candidates, spread_out
+from .candidates import extract_candidates, spread_out
 
 Array = NDArray[np.float64]
 
@@ -57,21 +57,19 @@ def wants_keyframe(history: list[Array], config: KeyframeConfig) -> bool:
 
 def make_keyframe(frame: Frame, config: Config, rng: Generator, backend: Backend) -> Keyframe:
     """Extract the candidates of a frame and everything that tracking needs of them."""
-    uv, inv_depth = extract_candidates(frame, config, rng, backend)
+    uv, inv_depth, slope = extract_candidates(frame, config, rng, backend)
     camera = frame.camera
     coarse = spread_out(uv, config.tracking.points_coarse, camera.width, camera.height, backend)
     witnesses = coarse if len(coarse) >= WITNESSES else spread_out(uv, WITNESSES, camera.width, camera.height, backend)
-    levels, pixels = len(frame.images), config.tracking.patch
+    levels, pixels, pattern = len(frame.images), config.tracking.patch, pattern_of(config.tracking)
     patch = np.zeros((levels, len(uv), pixels), np.float32)
     gradient = np.zeros((levels, len(uv), pixels, 2), np.float32)
-    backend.sample_patches(frame.images, uv, np.arange(len(uv)), range(1), patch, gradient)
-    backend.sample_patches(frame.images, uv, np.union1d(coarse, witnesses), range(1, levels), patch, gradient)
+    backend.sample_patches(frame.images, uv, np.arange(len(uv)), range(1), pattern, patch, gradient)
+    backend.sample_patches(frame.images, uv, np.union1d(coarse, witnesses), range(1, levels), pattern, patch, gradient)
     radius = np.hypot(uv[:, 0] - camera.cx, uv[:, 1] - camera.cy)
     radius /= max(radius.max(initial=0.0), 1.0)
     sigma = inverse_depth_sigma(config.noise.focal_baseline, config.noise.sigma_disparity)
     variance = np.full(len(uv), sigma**2)
-    flat = np.zeros((len(uv), 2))
-    slope = backend.planes_at(frame.depth, uv, PLANE_RADIUS, sigma)[2] if config.tracking.slant else flat
     points = Points(uv, inv_depth, variance, patch, gradient, slope)
     return Keyframe(frame, points, inv_depth, variance, radius, coarse, witnesses)
 
@@ -81,5 +79,5 @@ def all_patches(keyframe: Keyframe, backend: Backend) -> Keyframe:
     points = keyframe.points
     patch, gradient = points.patch.copy(), points.gradient.copy()
     everyone = np.arange(len(points.uv))
-    backend.sample_patches(keyframe.frame.images, points.uv, everyone, range(1, len(patch)), patch, gradient)
+    backend.sample_patches(keyframe.frame.images, points.uv, everyone, range(1, len(patch)), COMPACT, patch, gradient)
     return replace(keyframe, points=points._replace(patch=patch, gradient=gradient))

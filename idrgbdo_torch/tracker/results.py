@@ -33,7 +33,7 @@ def measured(
 
     velocity: (6,) [v, w] of a left increment of T_cam_world, m/s and rad/s, zeros where it is unknown.
     """
-    information = believed(tracked.information, tracked.points, velocity)
+    information = believed(tracked.information, tracked.points, velocity, tracked.wide)
     return TrackResult(
         T_world_cam=torch.from_numpy(inverse(T_cam_world)),
         status=Status.WEAK if reason else Status.OK,

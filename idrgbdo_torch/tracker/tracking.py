@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..config import Config
 from ..frame import Frame, Keyframe
 from ..kernels.se3 import inverse
-from ..measurement import LEVELS, RATE, MotionPrior, Noise, State, Subset
+from ..measurement import LEVELS, RATE, WIDE, MotionPrior, Noise, State, Subset
 from .backends import Backend
 
 Array = NDArray[np.float64]
@@ -45,6 +45,7 @@ class Tracked:
     iterations: int
     index: Index  # chosen candidates
     rms: Array  # whitened residual of each, -1 unseen
+    wide: bool = False  # whether the patches of the finest level were
 
 
 def motion_information(config: Config, dt: float) -> Array:
@@ -68,8 +69,9 @@ def track_frame(pair: Pair, start: State, index: Index, coarse: Subset, informat
         pair.frame.view, pair.keyframe.points, coarse, fine, start, prior, pair.noise, STEPS[:levels]
     )
     return Tracked(
-        found.T, found.affine, pose_information(found.H), int(found.kept), int(found.iterations), index, found.rms
-    )
+        found.T, found.affine, pose_information(found.H), int(found.kept), int(found.iterations), index, found.rms,
+        pair.noise.pattern == WIDE,
+    )  # fmt: skip
 
 
 def track_roughly(pair: Pair, start: State) -> Tracked:

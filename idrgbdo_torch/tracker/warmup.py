@@ -25,7 +25,7 @@ from ..definitions.camera import Pinhole
 from ..frame import Keyframe, RgbdFrame, prepare
 from ..kernels.matching import mutual_matches
 from ..kernels.tracking import align
-from ..measurement import LEVELS, PATTERN_U, Points, kernel_noise
+from ..measurement import LEVELS, PIXELS, Points, tracked_noise
 from ..odometry import Odometry
 from .backends import backend_named
 from .features import RATIO, WORDS, poses_of_triangles
@@ -125,10 +125,10 @@ def match_nothing() -> None:
 def compile_window() -> None:
     """Compile what only the window needs, and some of what is called late, so that both processes have their share."""
     config = Config()
-    window = Window(config, kernel_noise(config.noise, config.tracking.patch), backend_named(config.backend))
+    window = Window(config, tracked_noise(config), backend_named(config.backend))
     none, no_index = np.zeros(0), np.zeros(0, np.int64)
     for frame in islice(tiny_film(), 2):
-        patch = np.zeros((LEVELS, 0, len(PATTERN_U)), np.float32)
+        patch = np.zeros((LEVELS, 0, PIXELS), np.float32)
         points = Points(np.zeros((0, 2)), none, none, patch, np.zeros((*patch.shape, 2), np.float32), np.zeros((0, 2)))
         keyframe = Keyframe(prepare(frame), points, none, none, none, no_index, no_index)
         window.add(keyframe, np.eye(4), np.zeros(2), no_index)

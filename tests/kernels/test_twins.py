@@ -16,6 +16,7 @@ from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.definitions.image import sample_surface, sample_with_gradient
 from idrgbdo_torch.definitions.photometric import (
     PATTERN,
+    WIDE_PATTERN,
     Photometric,
     Warp,
     depth_residual,
@@ -33,7 +34,8 @@ from idrgbdo_torch.kernels import se3 as lie
 from idrgbdo_torch.kernels import solver as linear
 from idrgbdo_torch.kernels import tracking
 from idrgbdo_torch.kernels.linearise import linearise
-from idrgbdo_torch.measurement import PATTERN_U, PATTERN_V, PIXELS, Noise, State, Subset, System, kernel_noise
+from idrgbdo_torch.measurement import COMPACT, PATTERNS, PIXELS, WIDE, Noise, State, Subset, System, kernel_noise
+from idrgbdo_torch.tracker.candidates import PLANE_RADIUS
 
 
 @pytest.mark.parametrize("size", [1e-12, 1e-6, 3e-5, 1e-3, 0.4, 0.5, 2.0])
@@ -105,8 +107,10 @@ def test_sampling_one_surface_of_a_depth_image() -> None:
 
 
 def test_the_patch_is_the_definition_s_and_starts_at_its_centre() -> None:
-    assert np.array_equal(np.stack([PATTERN_U, PATTERN_V], axis=1), PATTERN.numpy())
-    assert PATTERN[0].tolist() == [0, 0] and PIXELS == P == len(PATTERN)
+    assert np.array_equal(PATTERNS[COMPACT], PATTERN.numpy()) and np.array_equal(PATTERNS[WIDE], WIDE_PATTERN.numpy())
+    for pattern in (PATTERN, WIDE_PATTERN):
+        assert pattern[0].tolist() == [0, 0] and PIXELS == P == len(pattern)
+    assert WIDE_PATTERN.norm(dim=1).max() < PLANE_RADIUS + 1e-9  # inside of what the plane around a point was fitted to
 
 
 @pytest.mark.parametrize("mode", ["first_order", "paper"])
@@ -153,7 +157,8 @@ def linearised_by_definition(
     """H, b, energy, rms and the number of points seen, from the functions of photometric and solver."""
     camera = CAMERA.at_level(level)
     uv, d, var_d, slope = (scene.tensor(name, index) for name in ("uv", "inv_depth", "var_inv_depth", "slope"))
-    warped = warp(camera, (uv + 0.5) * 0.5**level - 0.5, d, T, slope=slope * 2**level)
+    pattern = WIDE_PATTERN if noise.pattern == WIDE and level == 0 else PATTERN
+    warped = warp(camera, (uv + 0.5) * 0.5**level - 0.5, d, T, pattern, None if level else slope)
     patch, g_host = (torch.from_numpy(x[level, index]).double() for x in (scene.points.patch, scene.points.gradient))
     term = linearize(torch.from_numpy(scene.images[level]).double(), warped, patch, affine)
     moved = moved_gradient(g_host, d, warped, T, level)
@@ -191,9 +196,11 @@ def linearised_by_definition(
 
 @pytest.mark.parametrize("use_depth", [True, False])
 @pytest.mark.parametrize("level", [0, 1, 2])
-@pytest.mark.parametrize(("scale", "limit"), [(1.0, 1e9), (1.3, 1.2)])
-def test_normal_equations_of_a_frame(scene: Scene, level: int, use_depth: bool, scale: float, limit: float) -> None:
-    noise = kernel_noise(NoiseConfig(depth_residual=use_depth, gradient_blend=0.3, sigma_pixel=0.3))
+@pytest.mark.parametrize(("scale", "limit", "pattern"), [(1.0, 1e9, WIDE), (1.3, 1.2, COMPACT)])
+def test_normal_equations_of_a_frame(
+    scene: Scene, level: int, use_depth: bool, scale: float, limit: float, pattern: int
+) -> None:
+    noise = kernel_noise(NoiseConfig(depth_residual=use_depth, gradient_blend=0.3, sigma_pixel=0.3), pattern=pattern)
     index = np.random.default_rng(1).permutation(200)[:150]
     for step in (0.0, 0.02):
         T = se3.retract(step * XI, T_TARGET_HOST)

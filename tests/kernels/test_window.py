@@ -17,6 +17,7 @@ from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.definitions.image import sample_surface, sample_with_gradient
 from idrgbdo_torch.definitions.photometric import (
     PATTERN,
+    WIDE_PATTERN,
     distortion_weight,
     photometric_variance,
     projective_distortion,
@@ -27,7 +28,9 @@ from idrgbdo_torch.definitions.solver import huber_weight, normal_equations, rob
 from idrgbdo_torch.kernels.assembly import assemble, distances, eliminate_depths
 from idrgbdo_torch.kernels.window import linearise_window
 from idrgbdo_torch.measurement import (
+    COMPACT,
     STEP,
+    WIDE,
     Noise,
     Views,
     WindowPairs,
@@ -165,7 +168,8 @@ def by_definition(
             return warp(CAMERA, uv, s.inv_depth[h, p], s.relative(t, h)).centre
 
         T, d = state.relative(target, host), state.inv_depth[host, p]
-        warped = warp(CAMERA, uv, d, T, PATTERN, torch.from_numpy(points.slope[host, p]))
+        pattern = WIDE_PATTERN if noise.pattern == WIDE else PATTERN
+        warped = warp(CAMERA, uv, d, T, pattern, torch.from_numpy(points.slope[host, p]))
         value, g, inside = sample_with_gradient(image, warped.uv)
         delta_A = projective_distortion(d, warped.P, T)
         if not inside.all() or delta_A <= 0:
@@ -215,7 +219,10 @@ def by_definition(
 def test_window_is_the_chain_rule(
     scene: Scene, limit: float, use_depth: bool, pairs: list[list[int]], first_estimates: bool
 ) -> None:
-    noise = kernel_noise(NoiseConfig(depth_residual=use_depth, gradient_blend=0.3, sigma_pixel=0.3))
+    noise = kernel_noise(
+        NoiseConfig(depth_residual=use_depth, gradient_blend=0.3, sigma_pixel=0.3),
+        pattern=WIDE if use_depth else COMPACT,
+    )
     linear = scene.linear if first_estimates else scene.state
     taking_part = np.array(pairs, dtype=np.bool_)
     H, b, energy, rms = fused(scene, linear, taking_part, limit, noise)

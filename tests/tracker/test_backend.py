@@ -22,6 +22,7 @@ from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.frame import prepare
 from idrgbdo_torch.kernels import candidates, information, marginalization, selection, tracking, verification, window
 from idrgbdo_torch.measurement import (
+    WIDE,
     Aligned,
     MotionPrior,
     Noise,
@@ -151,7 +152,7 @@ def test_patches(cases: list[Case]) -> None:
         for backend in (FUSED, TORCH):
             patch = np.full((len(images), len(uv), 8), -1.0, np.float32)
             gradient = np.full((len(images), len(uv), 8, 2), -1.0, np.float32)
-            backend.sample_patches(images, uv, index, levels, patch, gradient)
+            backend.sample_patches(images, uv, index, levels, WIDE, patch, gradient)
             filled.append((patch, gradient))
         for fused, mine in zip(*filled, strict=True):
             close(mine, fused, 1e-5)

@@ -15,7 +15,7 @@ from idrgbdo_torch.definitions.camera import Pinhole
 from idrgbdo_torch.definitions.image import gradient, sample_with_gradient
 from idrgbdo_torch.frame import Frame, RgbdFrame, prepare
 from idrgbdo_torch.kernels import candidates as fused
-from idrgbdo_torch.measurement import PATTERN_U, PATTERN_V, WEAKEST, kernel_noise
+from idrgbdo_torch.measurement import COMPACT, PATTERNS, WEAKEST, WIDE, kernel_noise
 from idrgbdo_torch.odometry import Status, run
 from idrgbdo_torch.synthetic.disturbance import with_holes
 from idrgbdo_torch.tracker.backends import backend_named
@@ -162,7 +162,7 @@ def test_where_there_is_enough_strong_texture_no_weak_one_is_taken(frame: Frame)
         )
         for count in (600, 6000)
     )
-    for (uv, _), weak in ((few, False), (many, True)):  # 6000 are more than there are
+    for (uv, *_), weak in ((few, False), (many, True)):  # 6000 are more than there are
         u, v = uv.astype(int).T
         assert (g2[v, u] <= STRONG**2 * thresholds[v // BLOCK, u // BLOCK]).any() == weak
 
@@ -175,7 +175,7 @@ def test_where_there_is_little_texture_weak_texture_is_taken() -> None:
     for size, found in ((1.0, True), (0.5, False)):
         gray = torch.from_numpy(100 + np.float32(size) * smears)
         frame = prepare(RgbdFrame(0.0, gray, wall, camera))
-        uv, _ = extract_candidates(frame, Config(), np.random.default_rng(0), FUSED)
+        uv, *_ = extract_candidates(frame, Config(), np.random.default_rng(0), FUSED)
         assert (len(uv) > 50) == found
         assert not found or (u[uv[:, 0].astype(int)] < 17).all()
 
@@ -183,15 +183,15 @@ def test_where_there_is_little_texture_weak_texture_is_taken() -> None:
 def test_patches_are_samples_of_every_level(frame: Frame) -> None:
     uv = np.random.default_rng(0).uniform([60, 60], [260, 180], (40, 2))
     patch, g = np.zeros((4, 40, 8), np.float32), np.zeros((4, 40, 8, 2), np.float32)
-    fused.sample_patches(frame.images, uv, np.arange(40), 0, 4, patch, g)
+    fused.sample_patches(frame.images, uv, np.arange(40), 0, 4, WIDE, patch, g)
     for level in range(4):
-        at = ((uv + 0.5) * 0.5**level - 0.5)[:, None] + np.stack([PATTERN_U, PATTERN_V], axis=1)
+        at = ((uv + 0.5) * 0.5**level - 0.5)[:, None] + PATTERNS[COMPACT if level else WIDE]
         value, slope, valid = sample_with_gradient(torch.from_numpy(frame.images[level]), torch.from_numpy(at))
         assert valid.all()
         torch.testing.assert_close(torch.from_numpy(patch[level]), value.float())
         torch.testing.assert_close(torch.from_numpy(g[level]), slope.float(), rtol=1e-5, atol=1e-4)
     corner, g = np.zeros((6, 1, 8), np.float32), np.zeros((6, 1, 8, 2), np.float32)
-    fused.sample_patches(frame.images, np.array([[4.0, 4.0]]), np.arange(1), 0, 6, corner, g)
+    fused.sample_patches(frame.images, np.array([[4.0, 4.0]]), np.arange(1), 0, 6, WIDE, corner, g)
     assert np.isfinite(corner).all() and (corner > 0).all()
 
 

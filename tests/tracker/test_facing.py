@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fuzz import stress
 from fuzz.stress import something, tally
 from rendered import Film
 
@@ -48,8 +49,9 @@ def test_who_comes_back_from_a_leap_does_not_leap(desk: Film) -> None:
 
 @pytest.mark.parametrize(("seed", "stride", "share"), [(6, 2, 0.7), (1, 1, 0.8)])
 def test_no_pose_far_off_is_ok_beside_what_fills_most_of_the_view(
-    desk: Film, seed: int, stride: int, share: float
+    desk: Film, seed: int, stride: int, share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(stress, "OFF_M", 0.07)  # m: poses that leap are further off than what ten points drift by
     rng, tracker, shown = np.random.default_rng(seed), IdRgbdo(), []
     what, left, top = something(desk.frames[0], share**0.5, share**0.5, rng)
     left, top = (round(place * rng.uniform(0, 2)) for place in (left, top))

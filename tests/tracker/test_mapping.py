@@ -15,7 +15,7 @@ from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.definitions.camera import Pinhole, project
 from idrgbdo_torch.frame import Keyframe, RgbdFrame, prepare
 from idrgbdo_torch.kernels import selection as choice
-from idrgbdo_torch.measurement import kernel_noise
+from idrgbdo_torch.measurement import tracked_noise
 from idrgbdo_torch.tracker.backends import backend_named
 from idrgbdo_torch.tracker.keyframe import make_keyframe
 from idrgbdo_torch.tracker.mapping import (
@@ -210,7 +210,7 @@ def test_the_map_of_a_run_lies_on_the_wall(window: bool) -> None:
 def test_the_bits_of_a_point_are_what_would_be_lost_without_it() -> None:
     keyframe = wall_keyframe()
     index = np.arange(0, len(keyframe.points.uv), 5)
-    noise = kernel_noise(Config().noise)
+    noise = tracked_noise(Config())
     uv, bits = point_bits(keyframe, np.eye(4), index, noise, FUSED)
     np.testing.assert_allclose(uv.numpy(), keyframe.points.uv[index])
     cam = keyframe.frame.intrinsics[0]

@@ -10,7 +10,7 @@ from rendered import Film
 from idrgbdo_torch.config import Config, SelectionConfig
 from idrgbdo_torch.definitions.information import freedom_entropies_bits
 from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
-from idrgbdo_torch.tracker.shared_errors import INSTANT, SHARED, believed
+from idrgbdo_torch.tracker.shared_errors import INSTANT, SHARED, WIDE_SAYS, believed
 
 
 def some_information(seed: int = 0) -> np.ndarray:
@@ -45,3 +45,8 @@ def test_a_frame_reports_it_and_its_entropies_with_it(desk: Film) -> None:
     np.testing.assert_allclose(result.information, believed(tracked.information, tracked.points, velocity), rtol=1e-12)
     assert (result.information.diagonal() < torch.from_numpy(tracked.information).diagonal() / 1.05).all()
     assert result.entropy_bits == pytest.approx(freedom_entropies_bits(result.information).tolist())
+
+
+def test_wide_patches_say_more_than_is_added_up() -> None:
+    information = np.diag([4.0, 5.0, 6.0, 7.0, 8.0, 9.0])
+    np.testing.assert_allclose(believed(information, 1, np.zeros(6), wide=True), WIDE_SAYS * information)

@@ -59,7 +59,7 @@ def linearise(pair, images, level, T, a, c, scale, limit, BLOCK: tl.constexpr):
         u, v = (u + 0.5) / size - 0.5, (v + 0.5) / size - 0.5
         d, var_d = tl.load(row + 2 * N, mask=live, other=0.0), tl.load(row + 3 * N, mask=live, other=0.0)
         slope_u, slope_v = tl.load(row + 4 * N, mask=live, other=0.0), tl.load(row + 5 * N, mask=live, other=0.0)
-        slope_u, slope_v = slope_u * size, slope_v * size
+        slope_u, slope_v = tl.where(size > 1.0, 0.0, slope_u), tl.where(size > 1.0, 0.0, slope_v)
         exists = live & (d > 0.0) & (d < float("inf"))
         d = tl.where(exists, d, 1.0)
 
