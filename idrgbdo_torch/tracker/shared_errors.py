@@ -8,7 +8,8 @@ information with information, where they would cancel.
   direction is better than the instant it stands for.
 - A small share of a point's variance, that of the keyframe's own blur, interpolation and depth, is every point's.
 
-The equations also take all pixels of a patch to be off in position and depth by the same amount. Those of a wide patch are not.
+The equations also take all pixels of a patch to be off in position and depth by the same amount. Those of a wide patch
+are not.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ def believed(information: Array, points: int, velocity: Array, wide: bool = Fals
     """(6, 6) information of a left increment of T_cam_ref with errors that its points share.
 
     information: as the equations add it up over so many points. velocity: (6,) [v, w] of a left increment of
-    T_cam_world, m/s and rad/s, zeros where it is unknown. wide: whether patches were. The covariance grows by the factor
-    1 + SHARED (points - 1), and by INSTANT^2 velocity velocity^T.
+    T_cam_world, m/s and rad/s, zeros where it is unknown. wide: whether patches were. The covariance grows by the
+    factor 1 + SHARED (points - 1), and by INSTANT^2 velocity velocity^T.
     """
     apart = (WIDE_SAYS if wide else 1.0) * information / (1.0 + SHARED * max(points - 1, 0))
     along = apart @ velocity

@@ -42,8 +42,10 @@ def test_a_frame_reports_it_and_its_entropies_with_it(desk: Film) -> None:
     assert odometry.last is not None and result.information is not None
     tracked, velocity = odometry.last[1], odometry.motion.velocity()
     assert tracked.points > 80 and np.abs(velocity).max() > 0.01
-    np.testing.assert_allclose(result.information, believed(tracked.information, tracked.points, velocity), rtol=1e-12)
-    assert (result.information.diagonal() < torch.from_numpy(tracked.information).diagonal() / 1.05).all()
+    np.testing.assert_allclose(
+        result.information, believed(tracked.information, tracked.points, velocity, tracked.wide), rtol=1e-12
+    )
+    assert (result.information.diagonal() < WIDE_SAYS * torch.from_numpy(tracked.information).diagonal() / 1.05).all()
     assert result.entropy_bits == pytest.approx(freedom_entropies_bits(result.information).tolist())
 
 
