@@ -61,8 +61,8 @@ class TrackingConfig:
 
     levels: Annotated[int, Bounds(1, 6)] = 4
     points_coarse: Count = 256  # on all levels but the finest
-    patch: Annotated[int, Bounds(1, 8)] = 8  # pixels a point: the whole pattern of DSO, 1 the centre alone
-    slant: bool = True  # every pixel of a patch has the depth of the plane around the point, or all have the centre's
+    patch: Annotated[int, Bounds(1, 8)] = 8  # pixels a point; 1 is the centre alone
+    slant: bool = True  # patches of the finest level lie on the plane around their point, as wide as it, or are DSO's
     blur: NonNegative = 0.8  # px, of the finest level: a patch's few pixels then speak for their neighbours too
     sigma_velocity: Positive = 0.6  # m/s, change of velocity within 1/30 s: the motion prior, Eq. 19
     sigma_turn: Positive = 0.9  # rad/s, the same of the rotation

@@ -51,6 +51,7 @@ SWITCHES: dict[str, dict[str, dict[str, Any]]] = {
     "24 points on coarse levels": {"tracking": {"points_coarse": 24}},
     "coarse levels only start the search": {"noise": {"coarse": 0.0}},
     "patch of 1 pixel": {"tracking": {"patch": 1}},
+    "DSO's patches, flat": {"tracking": {"slant": False}},
     "keyframes by Eq. 20 as printed": {"keyframe": {"criterion": "ratio"}},
     "no window": {"window": {"enabled": False}},
     "window of 5 keyframes": {"window": {"keyframes": 5}},
