@@ -37,13 +37,15 @@ NOTHING = (
 
 
 def align(
-    pair: Pair, start: State, resting: Array, index: Index, information: Array, levels: int, surprise_px: float
-) -> tuple[Tracked, Verdict, float]:
+    pair: Pair, start: State, resting: Array, index: Index, information: Array, levels: int, surprise_px: float,
+    smooth: bool = False,
+) -> tuple[Tracked, Verdict, float]:  # fmt: skip
     """A frame's pose, how far to believe it, and how far in px it is from the guess.
 
     start: by constant velocity, resting: T_frame_kf of a camera that stopped; information: the motion prior's, (6, 6).
     surprise_px: how far the frame before was from its guess. Cameras move smoothly, so a frame after an expected one
     starts within reach of few coarse pixels; what comes out of it must fit, and be where expected.
+    smooth: images follow each other so closely that one which shares nothing with the keyframe shows another place.
     """
     coarse, pixels = pair.keyframe.coarse, pair.keyframe.points.patch.shape[2]
     if surprise_px < EXPECTED_PX and len(coarse) >= QUICK_POINTS:
@@ -71,7 +73,7 @@ def align(
         again, second = recover_by_features(pair, start.affine, index)
         if second.score > verdict.score or (second.supported and not second.doubt(LIMITS.lost)):
             tracked, verdict = again, second
-    if verdict.doubt(LIMITS.weak) and not strangers(pair.frame, pair.keyframe.frame):
+    if verdict.doubt(LIMITS.weak) and not (smooth and strangers(pair.frame, pair.keyframe.frame)):
         far = displacement(pair, start.T, resting) > OTHER_PX
         again, second = recover(pair, [start.T, resting] if far else [start.T], start.affine, index)
         if second.score > verdict.score:

@@ -37,18 +37,19 @@ def unlike(verdict: Verdict) -> bool:
 
 
 def held_against(
-    frame: Frame, members: Members, noise: Noise, backend: Backend, tracked: Tracked, verdict: Verdict
-) -> tuple[Tracked, Verdict]:
+    frame: Frame, members: Members, noise: Noise, backend: Backend, tracked: Tracked, verdict: Verdict,
+    smooth: bool = False,
+) -> tuple[Tracked, Verdict]:  # fmt: skip
     """A frame's pose against the newest keyframe; or the one that an older keyframe is sure of and that contradicts it.
 
-    members: the window, whose last keyframe is the newest.
+    members: the window, whose last keyframe is the newest. smooth: as in align().
     """
     if len(members.keyframes) < 2 or not unlike(verdict):
         return tracked, verdict
     if sharpness(Pair(frame, members.keyframes[-1], noise, backend), tracked.T_frame_kf) < BLURRED:
         return tracked, verdict  # it looks otherwise to any of them
     lost = verdict.doubt(LIMITS.lost)
-    if lost and strangers(frame, members.keyframes[-1].frame):
+    if lost and smooth and strangers(frame, members.keyframes[-1].frame):
         return tracked, verdict  # it is sought by what it has in common with others
     for pair, state, T_newest_kf in others(frame, members, noise, backend, tracked):
         said = verify(pair, replace(tracked, T_frame_kf=state.T, affine=state.affine))

@@ -143,7 +143,8 @@ class IdRgbdo(Losing):
         if carried is None or (keyframe := carried.seen_in(pair, T_frame_world, verdict)) is None:
             if self.history.doubted is not None:
                 return tracked, verdict
-            return held_against(frame, self.window.members, self.noise, self.backend, tracked, verdict)
+            smooth = self.motion.at_video_rate
+            return held_against(frame, self.window.members, self.noise, self.backend, tracked, verdict, smooth)
         self._leave_window()
         self.history.forget(carried.number)
         self.motion.begin(carried.T_kf_world)
@@ -162,7 +163,7 @@ class IdRgbdo(Losing):
         self._choose(reference, pair, guess, prior)
         start, levels = State(guess, reference.affine), self.config.tracking.levels
         tracked, verdict, motion.surprise_px = align(
-            pair, start, resting, reference.index, prior, levels, motion.surprise_px
+            pair, start, resting, reference.index, prior, levels, motion.surprise_px, motion.at_video_rate
         )
         return tracked, verdict
 
@@ -182,7 +183,8 @@ class IdRgbdo(Losing):
     def _late_keyframe(self, frame: Frame, verdict: Verdict) -> bool:
         """Make a keyframe of the frame before, which shares most with this one, if that explains this one better."""
         last, turn = self.motion.frame, self.motion.turn
-        if last is None or strangers(frame, last) or (keyframe := self._keyframe_of_last()) is None:
+        jumps = last is not None and self.motion.at_video_rate and strangers(frame, last)
+        if jumps or (keyframe := self._keyframe_of_last()) is None:
             return False
         prior = motion_information(self.config, KEYFRAME_GAP)
         index = self._select(keyframe, np.eye(4), self.config.selection.points, prior, self.noise)
@@ -211,12 +213,10 @@ class IdRgbdo(Losing):
 
     def _blurred(self, last: Frame) -> bool:
         """Whether the last frame was blurred."""
-        reference = self.reference
-        return (
-            reference is not None
-            and sharpness(self._pair(last, reference), self.motion.T_cam_world @ inverse(reference.T_kf_world))
-            < BLURRED
-        )
+        if self.reference is None:
+            return False
+        T_last_kf = self.motion.T_cam_world @ inverse(self.reference.T_kf_world)
+        return sharpness(self._pair(last, self.reference), T_last_kf) < BLURRED
 
     def _choose(self, reference: Reference, pair: Pair, T_frame_kf: Array, prior: Array) -> None:
         """The points to track: chosen anew when the view has moved by the margin that kept them inside the image."""

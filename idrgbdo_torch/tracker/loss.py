@@ -87,7 +87,8 @@ class Losing(Facing):
             lambda: find_in_places(pair, history.places.likely(pair.frame, self.lost_in_a_row)),
             lambda: find_near(pair, expected, window),
         ]
-        if not (newest.intruded or self.motion.contested):  # else it may show the same thing in front
+        contested = newest.intruded or self.motion.contested
+        if not (self.motion.at_video_rate and contested):  # else it may show the same thing in front
             searches.append(lambda: find_in_newest(pair, number, expected @ inverse(history.keyframe_poses[number])))
         for search in searches:
             if (found := search()) and (confronted := self._found(frame, found)):

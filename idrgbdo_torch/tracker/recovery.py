@@ -98,12 +98,14 @@ def find_in_places(pair: Pair, places: Sequence[Place]) -> Found | None:
 def find_in_newest(pair: Pair, number: int, T_frame_kf: Array) -> Found | None:
     """The frame against the newest keyframe, whose number this is, by what align() leaves out, as it is dear.
 
-    Of strangers, the direct search from where the frame was expected; else, features of the whole images.
+    Features of the whole images; and of strangers, the direct search from where the frame was expected.
     """
-    if strangers(pair.frame, pair.keyframe.frame):
-        return sure(number, pair, *recover(pair, [T_frame_kf], np.zeros(2), pair.keyframe.coarse))
     start = start_from_features(pair.frame, pair.keyframe.frame, FULL)
-    return from_perspective(number, pair, start) if start else None
+    if start and (found := from_perspective(number, pair, start)):
+        return found
+    if not strangers(pair.frame, pair.keyframe.frame):
+        return None
+    return sure(number, pair, *recover(pair, [T_frame_kf], np.zeros(2), pair.keyframe.coarse))
 
 
 def from_perspective(number: int, pair: Pair, start: Perspective) -> Found | None:
