@@ -20,7 +20,7 @@ def load_open3d() -> ModuleType:
     Raises IdRgbdoError when Open3D cannot be imported.
     """
     if sys.platform == "linux":
-        _load_libusb()
+        load_libusb()
     try:
         return importlib.import_module("open3d")
     except (ImportError, OSError) as error:
@@ -29,7 +29,7 @@ def load_open3d() -> ModuleType:
         ) from error
 
 
-def _load_libusb() -> None:
+def load_libusb() -> None:
     """Load the packaged libusb-1.0 globally; without the package the system's own library has to do."""
     try:
         import libusb_package

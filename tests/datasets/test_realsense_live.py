@@ -11,6 +11,9 @@ import pytest
 import torch
 from rendered import Film
 
+from idrgbdo_torch.tracker.open3d_loader import load_libusb
+
+load_libusb()
 rs = pytest.importorskip("pyrealsense2")
 
 from recordings import ROOT  # noqa: E402

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,6 +14,7 @@ import numpy as np
 
 from ...config import CameraSettings
 from ...errors import IdRgbdoError
+from ...tracker.open3d_loader import load_libusb
 from ..calibration import Calibration, DepthCamera, find_calibration
 from .lens import calibration_of_profile
 from .sequence import Shot
@@ -193,6 +195,8 @@ def _shot(color: Any, depth: Any) -> Shot:
 
 
 def _library() -> Any:
+    if sys.platform == "linux":
+        load_libusb()  # which its library links to
     try:
         import pyrealsense2
     except ImportError as error:
