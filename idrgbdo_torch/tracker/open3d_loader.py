@@ -19,8 +19,7 @@ def load_open3d() -> ModuleType:
     loaded with global symbols the linker accepts it for Open3D's.
     Raises IdRgbdoError when Open3D cannot be imported.
     """
-    if sys.platform == "linux":
-        load_libusb()
+    load_libusb()
     try:
         return importlib.import_module("open3d")
     except (ImportError, OSError) as error:
@@ -30,7 +29,9 @@ def load_open3d() -> ModuleType:
 
 
 def load_libusb() -> None:
-    """Load the packaged libusb-1.0 globally; without the package the system's own library has to do."""
+    """On Linux, load the packaged libusb-1.0 globally; without the package the system's own library has to do."""
+    if sys.platform != "linux":
+        return
     try:
         import libusb_package
     except ImportError:

@@ -205,7 +205,7 @@ def test_clear_images_of_different_places_are_strangers(desk: Film, monkeypatch:
 
 
 def test_what_is_dear_comes_last(desk: Film, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Strangers are not searched for directly until nothing else finds them, and the whole image is asked last."""
+    """Strangers are not searched for directly until nothing else finds them."""
     searches: list[str] = []
 
     def noted(name: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -195,8 +194,7 @@ def _shot(color: Any, depth: Any) -> Shot:
 
 
 def _library() -> Any:
-    if sys.platform == "linux":
-        load_libusb()  # which its library links to
+    load_libusb()  # which its library links to
     try:
         import pyrealsense2
     except ImportError as error:
