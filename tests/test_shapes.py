@@ -21,15 +21,10 @@ ATTRIBUTES = {"IdRgbdo": 10, "Window": 8}
 
 
 def functions(folder: str) -> Iterator[tuple[str, ast.arguments]]:
-    """`file.py:line name` and parameters of every function, method and lambda, but for what a GPU is handed.
-
-    A program of kernels/gpu is launched with addresses and numbers, one by one.
-    """
+    """`file.py:line name` and parameters of every function, method and lambda."""
     for path in sorted((PACKAGE / folder).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)):
-                if path.parent.name == "gpu" and "program_id" in ast.unparse(node):
-                    continue
                 yield f"{path.relative_to(PACKAGE)}:{node.lineno} {getattr(node, 'name', 'lambda')}", node.args
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from ..measurement import STEP
 from .compiled import exact_kernel, kernel
 from .se3 import inverse, log_se3
-from .solver import dot, multiply
+from .solver import dot, multiply, put
 
 
 @exact_kernel
@@ -75,7 +75,7 @@ def own_sensor(points, inv_depth, host, system):
 def increment(pairs, state, host, target, away):
     """Fill away (8,): the increment of a pair's relative state since it was taken."""
     T = multiply(state.T[target], inverse(state.T[host]))
-    away[:6] = log_se3(multiply(T, inverse(pairs.at_T[host, target])))
+    put(log_se3(multiply(T, inverse(pairs.at_T[host, target]))), away[:6])
     before, now = pairs.at_affine[host, target], state.affine
     away[6] = (now[target, 0] - now[host, 0]) - (before[1, 0] - before[0, 0])
     away[7] = (now[target, 1] - before[1, 1]) + pairs.chain[host, target, 7, 7] * (now[host, 1] - before[0, 1])

@@ -7,6 +7,7 @@ from math import sqrt
 import numpy as np
 
 from .compiled import kernel
+from .solver import put
 
 FARTHEST = 1 << 16  # more bits than any descriptor has
 
@@ -106,7 +107,7 @@ def rigid_triples(P, Q, triples, most, limits):
             side, other = distance(P, a, b), distance(Q, a, b)
             alike &= abs(side - other) < share * side + metres * far * far and side > apart * far
         if alike:
-            out[count] = triples[n]
+            put(triples[n], out[count])
             count += 1
     return out[:count]
 

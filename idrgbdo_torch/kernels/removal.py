@@ -9,7 +9,7 @@ import numpy as np
 from ..measurement import LINK_FLOOR, UNKNOWN
 from .compiled import kernel
 from .marginalization import unit_diagonal
-from .solver import factor, forward, inverse_spd, multiply
+from .solver import add, factor, forward, inverse_spd, multiply, put
 
 
 @kernel
@@ -26,15 +26,15 @@ def next_view_bits(information, links, adjoints):
                 placings[6 * k : 6 * k + 6, 6 * m : 6 * m + 6],
                 placings[6 * m : 6 * m + 6, 6 * k : 6 * k + 6],
             )
-            block[:] = multiply(multiply(adjoints[k], block), adjoints[m].T)
-            across[:] = block.T
-        placings[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += inverse_spd(floored(links, k))
+            put(multiply(multiply(adjoints[k], block), adjoints[m].T), block)
+            put(block.T, across)
+        add(inverse_spd(floored(links, k)), placings[6 * k : 6 * k + 6, 6 * k : 6 * k + 6])
     W = inverse_of_any_scale(placings, 0.0)
     each, total = np.zeros((K, 6, 6)), np.zeros((6, 6))
     for k in range(K):
         for m in range(K):
-            each[k] += W[6 * m : 6 * m + 6, 6 * k : 6 * k + 6]
-        total += each[k]
+            add(W[6 * m : 6 * m + 6, 6 * k : 6 * k + 6], each[k])
+        add(each[k], total)
     ok, whole = factor(total, 0.0)
     for k in range(K):
         known, own = factor(W[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], 0.0)

@@ -10,6 +10,7 @@ from math import acos, asin, cos, sin, sqrt
 import numpy as np
 
 from .compiled import exact_kernel, kernel
+from .solver import put
 
 
 @kernel
@@ -136,7 +137,7 @@ def increments(T, T_0):
     """Left increments (K, 6) that take poses T_0 (K, 4, 4) to T."""
     out = np.empty((T.shape[0], 6))
     for k in range(T.shape[0]):
-        out[k] = log_se3(compose(T[k], inverse(T_0[k])))
+        put(log_se3(compose(T[k], inverse(T_0[k]))), out[k])
     return out
 
 
@@ -145,7 +146,7 @@ def retracted(xi, T):
     """Poses T (K, 4, 4) after left increments (K, 6)."""
     out = np.empty_like(T)
     for k in range(T.shape[0]):
-        out[k] = retract(xi[k], T[k])
+        put(retract(xi[k], T[k]), out[k])
     return out
 
 
@@ -154,5 +155,5 @@ def adjoints_to_last(T):
     """(K, 6, 6) adjoints of T_last_k for poses T_k_world (K, 4, 4)."""
     out = np.empty((T.shape[0], 6, 6))
     for k in range(T.shape[0]):
-        out[k] = adjoint(compose(T[-1], inverse(T[k])))
+        put(adjoint(compose(T[-1], inverse(T[k]))), out[k])
     return out

@@ -21,6 +21,21 @@ def multiply(A, B):
     return out
 
 
+@exact_kernel
+def put(values, out):
+    """Copy into an array of the same shape: by `out[:] = values` numba compiles what it would say of other shapes too,
+    text and all, which takes seconds."""
+    for at in np.ndindex(values.shape):
+        out[at] = values[at]
+
+
+@exact_kernel
+def add(values, out):
+    """Add to an array of the same shape, see put."""
+    for at in np.ndindex(values.shape):
+        out[at] += values[at]
+
+
 @kernel
 def dot(a, b):
     """a^T b of two short vectors."""

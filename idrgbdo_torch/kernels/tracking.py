@@ -10,7 +10,7 @@ from ..measurement import FLOOR, SETTLED, SETTLED_COARSE, Aligned, Heard, State,
 from .compiled import kernel
 from .linearise import linearise
 from .se3 import compose, inverse, log_se3, retract
-from .solver import dot, solve_spd
+from .solver import add, dot, solve_spd
 
 
 @kernel
@@ -136,7 +136,7 @@ def align(view, points, coarse, fine, start, prior, noise, steps):
     for k in range(2):
         for j in range(2):
             system.H[6 + k, 6 + j] += affine_prior[k, j]
-    system.H[:6, :6] += heard.H
+    add(heard.H, system.H[:6, :6])
     return Aligned(
         state.T, state.affine, system.H, system.rms, scale, total, seen, kept, change, affine_centre, affine_prior
     )

@@ -21,7 +21,7 @@ from .equations import (
 )
 from .patch import LANES, Brightness, Room, forget_unseen, lanes_for, new_room, patch_sums, place_again
 from .se3 import adjoint, inverse
-from .solver import multiply
+from .solver import multiply, put
 
 
 @exact_kernel
@@ -62,14 +62,17 @@ def linearise_window(views, state, points, which, limit, noise, pairs):
             pairs.energy[host, target] = energy
             chain = pairs.chain[host, target]
             chain[:] = 0.0
-            chain[:6, :6] = -adjoint(T0)
+            on_pose = adjoint(T0)
+            for i in range(6):
+                for j in range(6):
+                    chain[i, j] = -on_pose[i, j]
             chain[6, 6] = -1.0
             chain[7, 7] = -gain
             pairs.taken[host, target] = True
-            pairs.at_T[host, target] = T
-            pairs.at_affine[host, target, 0] = affine[host]
-            pairs.at_affine[host, target, 1] = affine[target]
-            pairs.at_inv_depth[host, target] = state.inv_depth[host]
+            put(T, pairs.at_T[host, target])
+            put(affine[host], pairs.at_affine[host, target, 0])
+            put(affine[target], pairs.at_affine[host, target, 1])
+            put(state.inv_depth[host], pairs.at_inv_depth[host, target])
 
 
 @exact_kernel

@@ -94,17 +94,16 @@ class OnGpu:
         depth = target.inverse_depth.contiguous() if target.inverse_depth is not None and used else image
         B, N = points.rows.shape[0], points.rows.shape[-1]
         answer = Answer.empty(B, N, points.rows)
+        known = (prior.T_target_host, prior.information, prior.affine, prior.affine_information)
         with gpu_images.on_its_device(image):
             search[(B,)](
-                image=image, height=image.shape[-2], width=image.shape[-1], depth=depth, depth_height=depth.shape[-2],
-                depth_width=depth.shape[-1], rows=points.rows, patch=points.patch[level],
-                gradient=points.gradient[level], weight=points.weight, numbers=self._numbers[level], N=N,
-                T_start=plain(start.T), affine_start=plain(start.affine), scales=plain(start.scale),
-                T_prior=plain(prior.T_target_host), information=plain(prior.information),
-                affine_prior=plain(prior.affine), affine_information=plain(prior.affine_information),
-                limit=turn.limit, settled=turn.settled, steps=problem.steps, every=int(turn.every),
-                T_out=answer.T, affine_out=answer.affine, change_out=answer.change, H_out=answer.H, rms=answer.rms,
-                iterations=answer.iterations, DEPTH=used, PAPER=noise.mode == "paper", BLOCK=BLOCK, num_warps=WARPS,
+                images=(image, *image.shape[-2:], depth, *depth.shape[-2:]),
+                points=(
+                    points.rows, points.patch[level], points.gradient[level], points.weight, self._numbers[level], N,
+                ),
+                start_at=(plain(start.T), plain(start.affine), plain(start.scale)),
+                prior=tuple(map(plain, known)), turn=(turn.limit, turn.settled, problem.steps, int(turn.every)),
+                answer=tuple(answer), DEPTH=used, PAPER=noise.mode == "paper", BLOCK=BLOCK, num_warps=WARPS,
                 enable_fp_fusion=False,
             )  # fmt: skip
         return answer

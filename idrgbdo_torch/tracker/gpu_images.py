@@ -77,8 +77,9 @@ def pick(gray: Tensor, depth: Tensor, cell: int) -> tuple[Tensor, Tensor]:
     inverse_depth = gray.new_empty(B, across * down, dtype=torch.float64)
     with on_its_device(gray):
         pick[(B, across * down)](
-            gray.contiguous(), depth.contiguous(), height, width, cell, across, down, gray.new_tensor([ONE_SURFACE]),
-            uv, inverse_depth, COLUMNS=power_of_two(cell), num_warps=1, enable_fp_fusion=False,
+            (gray.contiguous(), depth.contiguous(), height, width), (cell, across, down),
+            gray.new_tensor([ONE_SURFACE]), (uv, inverse_depth), COLUMNS=power_of_two(cell), num_warps=1,
+            enable_fp_fusion=False,
         )  # fmt: skip
     return uv, inverse_depth
 
@@ -95,8 +96,8 @@ def sampled(gray: Tensor, uv: Tensor, levels: int) -> tuple[list[Tensor], list[T
         patch, gradient = places.new_empty(B, N, PIXELS), places.new_empty(B, N, PIXELS, 2)
         with on_its_device(gray):
             sample[(B, ceil(N / BLOCK))](
-                image.contiguous(), *image.shape[1:], places, N, places.new_tensor([0.5**level, LAST]), pattern, patch,
-                gradient, BLOCK=BLOCK, num_warps=1,
+                (image.contiguous(), *image.shape[1:]), (places, N), places.new_tensor([0.5**level, LAST]), pattern,
+                (patch, gradient), BLOCK=BLOCK, num_warps=1,
             )  # fmt: skip
         patches.append(patch.to(uv.dtype))
         gradients.append(gradient.to(uv.dtype))

@@ -36,6 +36,7 @@ FRAMES = 12
 STEP = 6  # px that the image moves from frame to frame
 DEPTH_M = 1.5
 EAGER = KeyframeConfig(threshold_bits=1e-3)  # so that the window is full after some frames, and keyframes leave it
+ALONE = Config(keyframe=EAGER, window=WindowConfig(enabled=False))  # needs nothing that only the window does
 CONFIGS = (  # which together use every kernel that any configuration does
     Config(keyframe=EAGER, window=WindowConfig(keyframes=3)),
     Config(keyframe=EAGER, window=WindowConfig(keyframes=3, removal="information"), selection=SelectionConfig("rand")),
@@ -92,7 +93,7 @@ def first_missing(make: Make) -> str:
 def compile_all(make: Make) -> None:
     """Compile what is not in the cache, with the help of a second process, which takes what only the window needs.
 
-    numba compiles one function at a time in a process; the window's take a third of the time.
+    numba compiles one function at a time in a process; the window's take half of the time.
     """
     other = python(WINDOW) if (os.cpu_count() or 1) > 1 else None
 
@@ -101,25 +102,37 @@ def compile_all(make: Make) -> None:
         sys.stdout.flush()
 
     with install_listener("numba:compile", Telling(tell)):
-        # if the other fails, its share is compiled here after all
-        track_films(make, lambda: other.communicate() if other is not None else None)
+        track_film(make(ALONE))
+        remove_nothing()
+        if other is not None:
+            other.wait()  # it writes nothing that could fill the pipe
+        track_films(make)  # if the other failed, its share is compiled here after all
 
 
-def track_films(make: Make, before_window: Callable[[], object] = lambda: None) -> None:
+def track_films(make: Make) -> None:
     """Track the tiny film with every configuration."""
     for config in CONFIGS:
-        odometry = make(config)
-        for number, frame in enumerate(tiny_film()):
-            if number == 2:  # about to need the window
-                before_window()
-            odometry.track(frame)
+        track_film(make(config))
     match_nothing()
+
+
+def track_film(odometry: Odometry) -> None:
+    """Track the tiny film."""
+    for frame in tiny_film():
+        odometry.track(frame)
 
 
 def match_nothing() -> None:
     """Call what only lost frames need."""
     mutual_matches(np.zeros((1, WORDS), np.uint64), np.zeros((1, WORDS), np.uint64), RATIO)
     poses_of_triangles(np.zeros((3, 3)), np.ones((3, 3)))
+
+
+def remove_nothing() -> None:
+    """Call what only keyframes that leave a window need."""
+    backend, nothing = backend_named(Config().backend), np.zeros(12)
+    backend.marginalize(np.eye(12), nothing, nothing > 0)
+    backend.redundancy(np.eye(12))
 
 
 def compile_window() -> None:

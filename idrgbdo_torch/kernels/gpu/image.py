@@ -73,9 +73,16 @@ def inverse(depth, count, out, COLUMNS: tl.constexpr):
     tl.store(out + n, tl.where(there, tl.div_rn(1.0, tl.where(there, z, 1.0)), 0.0), mask=n < count)
 
 
-@triton.jit(do_not_specialize=["height", "width", "cell", "across", "down"])
-def pick(gray, depth, height, width, cell, across, down, spread, uv, inverse_depth, COLUMNS: tl.constexpr):
-    """Program (b, n) picks the strongest gradient amid one surface of cell n, across * down of them to an image."""
+@triton.jit(do_not_specialize=["images", "cells"])
+def pick(images, cells, spread, picked, COLUMNS: tl.constexpr):
+    """Program (b, n) picks the strongest gradient amid one surface of cell n of an image.
+
+    images: gray and depth (B, H, W), H, W; cells: px of a side, how many across and down; picked: uv (B, N, 2) and
+    inverse depth (B, N), which it fills.
+    """
+    gray, depth, height, width = images
+    cell, across, down = cells
+    uv, inverse_depth = picked
     pair, n = tl.program_id(0).to(tl.int64), tl.program_id(1)
     u = BORDER + (n % across) * cell + tl.arange(0, COLUMNS)
     inside = (tl.arange(0, COLUMNS) < cell) & (u < width - BORDER)
@@ -111,13 +118,17 @@ def pick(gray, depth, height, width, cell, across, down, spread, uv, inverse_dep
     tl.store(inverse_depth + out, tl.where(there, 1.0 / tl.where(there, z, 1.0), 0.0))
 
 
-@triton.jit(do_not_specialize=["height", "width", "N"])
-def sample(image, height, width, uv, N, scale, pattern, patch, gradient, BLOCK: tl.constexpr):
-    """Patch (B, N, 8) and gradient (B, N, 8, 2) of one level around uv (B, N, 2) px of level 0, clamped to the image.
+@triton.jit(do_not_specialize=["images", "points"])
+def sample(images, points, scale, pattern, sampled_to, BLOCK: tl.constexpr):
+    """Patches and gradients of one level around points, clamped to the image.
 
-    scale (2,): of the level, 2^-level, and how far from the far border they are clamped; pattern (2, 8). Program (b, k)
-    samples BLOCK points from k * BLOCK on.
+    images: (B, h, w), h, w; points: (B, N, 2) px of level 0, N; scale (2,): of the level, 2^-level, and how far from
+    the far border they are clamped; pattern (2, 8); sampled_to: patch (B, N, 8) and gradient (B, N, 8, 2), which it
+    fills. Program (b, k) samples BLOCK points from k * BLOCK on.
     """
+    image, height, width = images
+    uv, N = points
+    patch, gradient = sampled_to
     pair, n = tl.program_id(0), tl.program_id(1) * BLOCK + tl.arange(0, BLOCK)
     k, there = tl.arange(0, PIXELS), (n < N)[:, None]
     size = tl.load(scale)

@@ -13,25 +13,28 @@ MOST_DAMPING = tl.constexpr(1e4)
 
 
 # compiled once for all sizes
-@triton.jit(do_not_specialize=["height", "width", "depth_height", "depth_width", "N", "steps", "every"])
+@triton.jit(do_not_specialize=["images", "points", "turn"])
 def search(
-    image, height, width, depth, depth_height, depth_width, rows, patch, gradient, weight, numbers, N, T_start,
-    affine_start, T_prior, information, affine_prior, affine_information, scales, limit, settled, steps, every, T_out,
-    affine_out, change_out, H_out, rms, iterations, DEPTH: tl.constexpr, PAPER: tl.constexpr,
-    BLOCK: tl.constexpr,
+    images, points, start_at, prior, turn, answer, DEPTH: tl.constexpr, PAPER: tl.constexpr, BLOCK: tl.constexpr
 ):  # fmt: skip
     """Program b searches for pair b: at most so many steps; with none, all that it does is to linearise at the start.
 
-    image (B, h, w) of the level, depth (B, H, W) inverse, of level 0; rows (B, 6, N), patch (B, N, 8), gradient
-    (B, N, 8, 2), weight (B, N, 8), numbers: see linearise.py. T_start (B, 4, 4), affine_start (B, 2); the prior's pose,
-    information (B, 6, 6), brightness and its information (B, 2, 2); scales (B,) of the residuals; limit of a point's
-    residual, what settles the search; every: not 0 where each step is taken, whatever becomes of the energy.
-    Fills T, affine, the last step in standard deviations (B,), H (B, 8, 8) with the prior, rms (B, N) of the last pose
-    tried, iterations (B,).
+    images: of the level (B, h, w), h, w; inverse depth of level 0 (B, H, W), H, W.
+    points: rows (B, 6, N), patch (B, N, 8), gradient (B, N, 8, 2), weight (B, N, 8), numbers, see linearise.py; N.
+    start_at: T (B, 4, 4), affine (B, 2), scales (B,) of the residuals.
+    prior: T (B, 4, 4), information (B, 6, 6), affine (B, 2), its information (B, 2, 2).
+    turn: limit of a point's residual, what settles the search, most steps, and not 0 where each of them is taken,
+    whatever becomes of the energy.
+    answer, which it fills: T, affine, the last step in standard deviations (B,), H (B, 8, 8) with the prior, rms (B, N)
+    of the last pose tried, iterations (B,).
     """
     pair = tl.program_id(0)
-    images = (image, height, width, depth, depth_height, depth_width, DEPTH, PAPER)
-    level = (rows, patch, gradient, weight, numbers, rms, N)
+    T_start, affine_start, scales = start_at
+    T_prior, information, affine_prior, affine_information = prior
+    limit, settled, steps, every = turn
+    T_out, affine_out, change_out, H_out, rms, iterations = answer
+    shots = (images[0], images[1], images[2], images[3], images[4], images[5], DEPTH, PAPER)
+    level = (points[0], points[1], points[2], points[3], points[4], rms, points[5])
     start, affine = T_start + pair * 16, affine_start + pair * 2
     T, a, c = pose_at(start), tl.load(affine), tl.load(affine + 1)
     T_known, about = pose_at(T_prior + pair * 16), affine_prior + pair * 2
@@ -48,7 +51,7 @@ def search(
     taken = 0 * steps
     active = steps >= 0
     while active:  # the first turn is at the start; linearise stands here once, since compiling it takes long
-        H_new, b_new, energy_new, seen_new = linearise(pair, images, level, T_new, a_new, c_new, scale, limit, BLOCK)
+        H_new, b_new, energy_new, seen_new = linearise(pair, shots, level, T_new, a_new, c_new, scale, limit, BLOCK)
         pull, push = pulled(T_new, T_known, a_new - a_known, c_new - c_known, known)
         energy_new += push
         # a point that leaves the image must not look like a gain
