@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from itertools import islice
 
 import pytest
 import torch
@@ -13,6 +14,7 @@ from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.evaluation import evaluate
 from idrgbdo_torch.frame import RgbdFrame
 from idrgbdo_torch.odometry import Status, run
+from idrgbdo_torch.synthetic import RenderedSequence
 from idrgbdo_torch.tracker.id_rgbdo import IdRgbdo
 from idrgbdo_torch.tracker.motion import PATIENCE
 
@@ -170,3 +172,12 @@ def test_a_clock_that_stands_still_or_runs_backwards_does_not_freeze_the_pose(de
         assert record.result.status is not Status.LOST
         E = record.result.T_world_cam @ desk.T(n, 0)
         assert E[:3, 3].norm() < (0.002 if n < 5 else 0.008)
+
+
+def test_far_steps_over_little_texture_are_searched_for_again() -> None:
+    """Another minimum of the search looks as if much of the keyframe had come to lie behind something else."""
+    sequence = RenderedSequence(replace(SMALL, kind="poor", frames=14, rate=2.0, seed=4))
+    shots = Film(tuple(islice(sequence, 4)), sequence.groundtruth)
+    odometry = IdRgbdo()
+    assert [odometry.track(frame).status for frame in shots.frames] == [Status.OK] * 4
+    assert max(off(odometry, shots, n, n + 1) for n in range(3)) < 0.01  # 0.2 and more where it is not
