@@ -87,8 +87,8 @@ def align(
 
 
 def is_suspect(pair: Pair, start: State, tracked: Tracked, verdict: Verdict) -> bool:
-    """Whether a pose may be another minimum of the search than the true one: it is doubtful, or far from where the frame
-    was expected while depth speaks against it. There, what lies nearer than it should looks as if it stood in front.
+    """Whether a pose may be another minimum than the true one: doubtful, or far from where the frame was expected while
+    depth speaks against it. What lies nearer than a wrong pose expects looks as if it stood in front.
     """
     if verdict.doubt(LIMITS.weak):
         return True

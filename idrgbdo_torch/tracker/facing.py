@@ -11,17 +11,19 @@ from ..frame import Frame
 from ..kernels.se3 import inverse
 from ..measurement import State
 from .alignment import align_beside
-from .elders import CLEARLY, explained
+from .elders import CLEARLY, confirmed, explained
 from .glances import Glance, Sight
 from .inspection import Shown
 from .intruder import agreement, outlined, some_views
 from .motion import Motion
 from .reference import Reference
+from .results import after
 from .tracking import CLOSE, Pair, Tracked
-from .verification import LIMITS, Verdict
+from .verification import LIMITS, Verdict, doubtful
 
 Array = NDArray[np.float64]
 
+ASTRAY = "a pose beside something in front was doubtful, and no older keyframe confirms those since"
 HELD = np.diag([1.0 / 0.005**2] * 3 + [1.0 / 0.015**2] * 3)  # information by which a pose stays where it is expected
 
 
@@ -71,6 +73,22 @@ class Facing(Shown):
         if second.doubt(LIMITS.sure) or second.score < verdict.score - CLEARLY:
             return tracked, verdict, False
         return near, second, True
+
+    @property
+    def _newest(self) -> Reference:
+        """What a frame is tracked against, once there is something."""
+        assert self.reference is not None
+        return self.reference
+
+    def _doubts(self, frame: Frame, tracked: Tracked, verdict: Verdict, entropies: Array) -> str:
+        """Why a pose is doubtful that is used, empty where it is not."""
+        motion = self.motion
+        asked = motion.obstructed or motion.astray
+        if asked and confirmed(frame, self.window.members, self.noise, self.backend, tracked):
+            motion.obstructed = motion.astray = False
+        reason = doubtful(verdict, self._newest.keyframe.intruded, motion.obstructed, entropies)
+        reason = reason or after(self.lost_in_a_row) or motion.doubt
+        return reason or (ASTRAY if motion.astray else "") or self.history.doubt_reason
 
     def _knows_what_intrudes(self, frame: Frame, tracked: Tracked | None) -> bool:
         """Whether a frame's pose can tell; the newest keyframe may show what intrudes, so older ones are asked too."""

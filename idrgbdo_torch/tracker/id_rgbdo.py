@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -18,8 +19,8 @@ from ..odometry import TrackResult
 from .alignment import align, displacement
 from .backends import backend_named
 from .between import LATE_COLOR, track_between
-from .doubt import BLURRED, KEPT_IN_VIEW, sharpness, sharpness_since
-from .elders import confirmed, held_against
+from .doubt import BLURRED, KEPT_IN_VIEW, sharpness_since
+from .elders import held_against
 from .features import strangers
 from .history import History
 from .instant import steady, takes_time
@@ -29,10 +30,10 @@ from .loss import Losing
 from .mapping import NOTHING, keyframe_cloud
 from .motion import Motion, turn_rate
 from .reference import Reference
-from .results import after, measured
+from .results import measured
 from .selection import select_points, view_margin
 from .tracking import KEYFRAME_GAP, Pair, Tracked, motion_information
-from .verification import LIMITS, Verdict, doubtful, unusable
+from .verification import LIMITS, Verdict, unusable
 from .warmup import warm_up
 from .window import Window
 
@@ -40,7 +41,12 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-ASTRAY = "a pose beside something in front was doubtful, and no older keyframe confirms those since"
+class Placed(NamedTuple):
+    """A frame, its pose against the newest keyframe, and how far that is to be believed."""
+
+    frame: Frame  # with the depth that it was placed by
+    tracked: Tracked
+    verdict: Verdict
 
 
 class IdRgbdo(Losing):
@@ -77,41 +83,18 @@ class IdRgbdo(Losing):
         if self.reference is None:
             self.motion.first = rgbd if takes_time(rgbd.camera) else None
             return self._start_segment(frame, "too few points with depth and texture to start from")
-        tracked, verdict = self._align(frame, self.reference)
-        if (earlier := self.motion.with_earlier_depth(frame)) is not None:
-            again, second = self._align(earlier, self.reference)
-            if self.motion.prefers_earlier(second.score - verdict.score):
-                frame, tracked, verdict = earlier, again, second
-        if takes_time(rgbd.camera) and not verdict.doubt(LIMITS.lost):
-            frame, tracked, verdict = self._steadied(rgbd, tracked, self.reference)
-        tracked, verdict = self._beside(frame, tracked, verdict, self.reference)
-        verdict = self._verdict(frame, tracked, verdict, self.reference)
-        if unusable(verdict, self.reference.keyframe.intruded, LIMITS.weak) and self._late_keyframe(frame, verdict):
-            tracked, verdict = self._align(frame, self.reference)
-            verdict = self._verdict(frame, tracked, verdict, self.reference)
-        reference, motion, dt = self.reference, self.motion, self.motion.gap(frame.timestamp)
-        strict = LIMITS.sure if self.lost_in_a_row else LIMITS.lost
-        if reason := unusable(verdict, reference.keyframe.intruded, strict):
-            if (found := self._found_again(frame)) is not None:
-                return found
-            if (keyframe := self._keyframe_of_last()) is not None:
-                self._adopt_last(keyframe)
-            return self._lost(frame, reason)
-        if (settled := self._settled(frame, tracked, reference)) is not None:
-            return settled
-        tracked, verdict, reached = self._reached(self._pair(frame, reference), tracked, verdict)
+        placed = self._placed(rgbd, frame)
+        if (elsewhere := self._elsewhere(placed)) is not None:
+            return elsewhere
+        frame, reference, motion = placed.frame, self._newest, self.motion
+        tracked, verdict, reached = self._reached(self._pair(frame, reference), placed.tracked, placed.verdict)
         motion.astray |= not reached
         entropies = self.backend.freedom_entropies(tracked.information)
-        asked = motion.obstructed or motion.astray
-        if asked and confirmed(frame, self.window.members, self.noise, self.backend, tracked):
-            motion.obstructed = motion.astray = False
-        reason = doubtful(verdict, reference.keyframe.intruded, motion.obstructed, entropies) or after(
-            self.lost_in_a_row
-        )
-        reason = reason or motion.doubt or (ASTRAY if motion.astray else "") or self.history.doubt_reason
+        reason = self._doubts(frame, tracked, verdict, entropies)
         reference.entropies.append(entropies)
         reference.affine = tracked.affine
-        motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame, 0.0 if self.lost_in_a_row else dt)
+        dt = 0.0 if self.lost_in_a_row else motion.gap(frame.timestamp)
+        motion.move(tracked.T_frame_kf @ reference.T_kf_world, frame, dt)
         self.lost_in_a_row, self.last = 0, (reference.keyframe, tracked)
         motion.judge(verdict, reference.keyframe.intruded)
         self.history.add_frame(frame.timestamp, tracked.T_frame_kf, tracked.information)
@@ -123,6 +106,34 @@ class IdRgbdo(Losing):
             result = replace(result, keyframe=True, T_world_cam=torch.from_numpy(inverse(motion.T_cam_world)))
             return self._joined(frame, result) if self.history.segment > 0 else result
         return result
+
+    def _placed(self, rgbd: RgbdFrame, frame: Frame) -> Placed:
+        """A frame's pose against the newest keyframe, which may change on the way to one that explains it better."""
+        tracked, verdict = self._align(frame, self._newest)
+        if (earlier := self.motion.with_earlier_depth(frame)) is not None:
+            again, second = self._align(earlier, self._newest)
+            if self.motion.prefers_earlier(second.score - verdict.score):
+                frame, tracked, verdict = earlier, again, second
+        if takes_time(rgbd.camera) and not verdict.doubt(LIMITS.lost):
+            frame, tracked, verdict = self._steadied(rgbd, tracked, self._newest)
+        tracked, verdict = self._beside(frame, tracked, verdict, self._newest)
+        verdict = self._verdict(frame, tracked, verdict, self._newest)
+        if unusable(verdict, self._newest.keyframe.intruded, LIMITS.weak) and self._late_keyframe(frame, verdict):
+            tracked, verdict = self._align(frame, self._newest)
+            verdict = self._verdict(frame, tracked, verdict, self._newest)
+        return Placed(frame, tracked, verdict)
+
+    def _elsewhere(self, placed: Placed) -> TrackResult | None:
+        """A frame whose pose is not used: found in another keyframe, or lost; None where it is used."""
+        strict = LIMITS.sure if self.lost_in_a_row else LIMITS.lost
+        reason = unusable(placed.verdict, self._newest.keyframe.intruded, strict)
+        if not reason:
+            return self._settled(placed.frame, placed.tracked, self._newest)
+        if (found := self._found_again(placed.frame)) is not None:
+            return found
+        if (keyframe := self._keyframe_of_last()) is not None:
+            self._adopt_last(keyframe)
+        return self._lost(placed.frame, reason)
 
     def _steadied(self, rgbd: RgbdFrame, tracked: Tracked, reference: Reference) -> tuple[Frame, Tracked, Verdict]:
         """A frame once more, now that its velocity is known; with the second one, the first keyframe too."""
@@ -196,27 +207,6 @@ class IdRgbdo(Losing):
         if helps or verdict.doubt(LIMITS.lost):
             self._adopt_last(keyframe)
         return helps
-
-    def _keyframe_of_last(self) -> Keyframe | None:
-        """A keyframe of the last frame that was tracked; None where it is one, or cannot be."""
-        last = self.motion.frame
-        if last is None or last.timestamp == self.history.keyframe_times[-1] or self._blurred(last):
-            return None
-        if self.history.doubted is not None or self.motion.astray:
-            return None
-        return self._keyframe(last, self.motion.T_cam_world, self.last[1] if self.last else None)
-
-    def _adopt_last(self, keyframe: Keyframe) -> None:
-        """What is seen after a loss is most likely the last that was seen before, so that is a keyframe."""
-        self.motion.said = self.motion.T_cam_world  # a lost frame is held there, wherever the window moves it
-        self._adopt(keyframe, self.history.T_cam_kf[-1])
-
-    def _blurred(self, last: Frame) -> bool:
-        """Whether the last frame was blurred."""
-        if self.reference is None:
-            return False
-        T_last_kf = self.motion.T_cam_world @ inverse(self.reference.T_kf_world)
-        return sharpness(self._pair(last, self.reference), T_last_kf) < BLURRED
 
     def _choose(self, reference: Reference, pair: Pair, T_frame_kf: Array, prior: Array) -> None:
         """The points to track: chosen anew when the view has moved by the margin that kept them inside the image."""

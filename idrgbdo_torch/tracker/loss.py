@@ -13,7 +13,7 @@ from ..frame import Frame, Keyframe
 from ..kernels.se3 import inverse
 from ..odometry import Status, TrackResult
 from .alignment import blind
-from .doubt import BLURRED, EVERY, sharpness_since
+from .doubt import BLURRED, EVERY, sharpness, sharpness_since
 from .facing import Facing
 from .intruder import blocked
 from .joining import join
@@ -37,13 +37,36 @@ class Losing(Facing):
         """A frame against the newest keyframe."""
         raise NotImplementedError
 
-    def _keyframe(self, frame: Frame, T_frame_world: Array | None = None) -> Keyframe | None:
-        """A keyframe of a frame at a pose, None where it has too few candidates."""
+    def _keyframe(
+        self, frame: Frame, T_frame_world: Array | None = None, tracked: Tracked | None = None
+    ) -> Keyframe | None:
+        """A keyframe of a frame at a pose, None where it has too few candidates; tracked: against the newest one."""
         raise NotImplementedError
 
     def _adopt(self, keyframe: Keyframe, T_kf_previous: Array | None = None) -> Reference:
         """Track against a keyframe from now on."""
         raise NotImplementedError
+
+    def _keyframe_of_last(self) -> Keyframe | None:
+        """A keyframe of the last frame that was tracked; None where it is one, or cannot be."""
+        last = self.motion.frame
+        if last is None or last.timestamp == self.history.keyframe_times[-1] or self._blurred(last):
+            return None
+        if self.history.doubted is not None or self.motion.astray:
+            return None
+        return self._keyframe(last, self.motion.T_cam_world, self.last[1] if self.last else None)
+
+    def _adopt_last(self, keyframe: Keyframe) -> None:
+        """What is seen after a loss is most likely the last that was seen before, so that is a keyframe."""
+        self.motion.said = self.motion.T_cam_world  # a lost frame is held there, wherever the window moves it
+        self._adopt(keyframe, self.history.T_cam_kf[-1])
+
+    def _blurred(self, last: Frame) -> bool:
+        """Whether the last frame was blurred."""
+        if self.reference is None:
+            return False
+        T_last_kf = self.motion.T_cam_world @ inverse(self.reference.T_kf_world)
+        return sharpness(self._pair(last, self.reference), T_last_kf) < BLURRED
 
     def _start_segment(self, frame: Frame, reason: str) -> TrackResult:
         """Begin at the last pose: the first frame, or one after too many lost ones; lost where it lacks points."""
