@@ -230,13 +230,23 @@ def prepare(rgbd: RgbdFrame, blur: float = 0.0) -> Frame:
             "record larger ones"
         )
     own = np.ascontiguousarray if rgbd.is_owned else partial(np.array, order="C")
-    images = gray_pyramid(own(rgbd.gray.detach().numpy()), LEVELS)
+    images = gray_pyramid(of_numbers(own(rgbd.gray.detach().numpy())), LEVELS)
     sharp = images[0]
     if blur > 0.0:
         images[0] = smoothed(sharp, blur)
     depth = own(rgbd.depth.detach().numpy())
     color = rgbd.color if rgbd.color is None or rgbd.is_owned else rgbd.color.clone()
     return Frame(rgbd.timestamp, rgbd.camera, tuple(images), depth, color, sharp)
+
+
+def of_numbers(image: Image) -> Image:
+    """The image (H, W), black where a pixel is no number: it would spread over the coarse levels, and from a keyframe
+    into all that a window knows.
+    """
+    values = image.ravel()
+    if np.isfinite(np.dot(values, values)):
+        return image
+    return np.nan_to_num(image, nan=0.0)
 
 
 def gray_pyramid(image: Image, levels: int) -> list[Image]:

@@ -75,6 +75,7 @@ def test_reading_sorts_skips_invalid_poses_and_takes_the_last_of_equal_times(tmp
     trajectory = read_tum(tmp_path / "a.txt")
     assert trajectory.timestamps.tolist() == [1, 2]
     assert trajectory.positions.tolist() == [[1, 2, 3], [0, 0, 0]]
+    assert "2 of the 5 poses of 'a.txt' are marked invalid and are left out" in trajectory.notes
 
 
 def written(folder: Path, stamps: list[object], tail: str = "0 0 0 0 0 0 1") -> Path:

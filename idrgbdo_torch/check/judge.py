@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..datasets.depth_scale import USUAL_M, scale_doubt
+from ..measurement import LEVELS
 from .edges import CONTRAST, STRONG
 from .findings import Finding, Verdict
 from .judge_camera import camera_file
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 MATCHED_NOTE, MATCHED_FAULT = 0.95, 0.75  # share of the shorter list that found its partner
 MISSING_NOTE, MISSING_FAULT = 0.03, 0.15  # share of frames
 LOW_RATE = 8.0  # frames per second
+SMALL_WIDTH = 120  # px, of images in which a shift of a pixel is as much as those that matter
+LEAST_SIDE = 2 ** (LEVELS - 1)  # px, of images that have a coarsest level to begin with
 VALID_NOTE, VALID_FAULT = 0.4, 0.15  # share of pixels with depth
 SCALE_LIMIT = 1.4  # ratio of ways, by the depth and by the reference
 SCALE_PAIRS, SCALE_WAY_M = 3, 0.15  # that can tell it
@@ -94,6 +97,9 @@ def _rate(m: Measured) -> Finding:
     verdict = _graded(t.missing_share, MISSING_NOTE, MISSING_FAULT, below=False)
     if verdict is not Verdict.GOOD:
         return Finding("frame rate", verdict, value, "frames were dropped: record to a faster disk, or less at once")
+    if t.pauses_s:
+        advice = "the recording pauses: after it the camera is found again where it sees a place that it knows"
+        return Finding("frame rate", Verdict.NOTE, value, advice)
     if rate < LOW_RATE:
         return Finding("frame rate", Verdict.NOTE, value, "few frames a second: keep every frame if there are more")
     return Finding("frame rate", verdict, value)
@@ -104,6 +110,9 @@ def _size(m: Measured) -> Finding:
     away = max(abs(c.cx - (c.width - 1) / 2), abs(c.cy - (c.height - 1) / 2)) / c.width
     angle = 2 * math.degrees(math.atan(c.width / (2 * c.fx)))
     value = f"{c.width}x{c.height}, {angle:.0f} degrees wide, fx {c.fx:.1f} fy {c.fy:.1f} cx {c.cx:.1f} cy {c.cy:.1f}"
+    if min(c.width, c.height) < LEAST_SIDE:
+        advice = f"too small to be tracked: record images of at least {LEAST_SIDE}x{LEAST_SIDE} pixels"
+        return Finding("size, camera", Verdict.FAULT, value, advice)
     if away > CENTER_USUAL:
         advice = "the principal point is far from the middle: are these the intrinsics of images of another size?"
         return Finding("size, camera", Verdict.NOTE, value, advice)
@@ -150,6 +159,10 @@ def _scale_advice(factor: float) -> str:
 
 def _registration(m: Measured) -> Finding:
     name, edges = "colour on depth", m.edges
+    if m.camera.width < SMALL_WIDTH:
+        return Finding(
+            name, Verdict.UNKNOWN, f"edges of images {m.camera.width} px wide tell little", "record larger ones"
+        )
     if edges.strength < STRONG and m.view is not None:
         return another_view(name, m.view, m.camera)
     if edges.strength < STRONG:

@@ -12,6 +12,8 @@ from ..text.files import MOST_TEXT, is_plain_file, read_bytes
 
 Array = NDArray[np.float64]
 
+PAUSE_S, PAUSE_FRAMES = 5.0, 20  # a gap that is longer than both: no disk is as slow, somebody paused the recording
+
 
 @dataclass(frozen=True)
 class Timing:
@@ -19,8 +21,9 @@ class Timing:
 
     period_s: float  # between neighbours where none is missing
     intervals_s: Array  # (N - 1,)
-    missing: int  # frames that the gaps would have held
+    missing: int  # frames that the gaps would have held, pauses left out
     longest_s: float  # gap
+    pauses_s: tuple[float, ...] = ()  # gaps in which the camera was paused
 
     @property
     def missing_share(self) -> float:
@@ -35,8 +38,10 @@ def timing(timestamps: list[float]) -> Timing | None:
         return None
     short = intervals[intervals <= 1.5 * np.percentile(intervals, 20)]
     period = float(np.median(short))
-    steps = np.maximum(np.rint(intervals / period), 1.0)
-    return Timing(period, intervals, int((steps - 1).sum()), float(intervals.max()))
+    paused = intervals > max(PAUSE_S, PAUSE_FRAMES * period)
+    steps = np.maximum(np.rint(intervals[~paused] / period), 1.0)
+    pauses = tuple(intervals[paused].tolist())
+    return Timing(period, intervals, int((steps - 1).sum()), float(intervals.max()), pauses)
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,9 @@ def check(command: CheckCommand) -> int:
     from .track import make_odometry
 
     sequence = open_input(command.sequence, command.input)
+    print("reading", plain(sequence.recognised), flush=True)
+    for warning in sequence.warnings:
+        print("warning:", plain(warning), file=sys.stderr)
     folder = command.sequence if command.input.associations is None else None
     whole = command.input.start == 0 and command.input.every == 1 and command.input.max_frames is None
     make_odometry(Config())  # so that its kernels are compiled under a bar of their own
@@ -49,17 +52,21 @@ def check(command: CheckCommand) -> int:
         report = check_sequence(sequence, folder if whole else None, advance)
     picture = command.out or Path("runs") / sequence.name / "check.png"
     save(picture, draw(report.measured))
-    _show(sequence.name, report)
+    _show(sequence.name, report, len(sequence.warnings))
     print(f"picture: {plain(picture)}")
     rows = [asdict(finding) | {"verdict": finding.verdict.value} for finding in report.findings]
-    answer(sequence=sequence.name, faults=[fault.name for fault in report.faults], findings=rows, picture=picture)
+    faults = [fault.name for fault in report.faults]
+    read = {"reading": sequence.recognised, "warnings": list(sequence.warnings)}
+    answer(sequence=sequence.name, **read, faults=faults, findings=rows, picture=picture)
     return 1 if report.faults else 0
 
 
-def _show(title: str, report: Report) -> None:
-    """A row a question; on a terminal as a table."""
+def _show(title: str, report: Report, warnings: int) -> None:
+    """A row a question; on a terminal as a table. warnings: sentences on how it was read, which have been said."""
     faults = report.faults
     verdict = f"faults: {', '.join(finding.name for finding in faults)}" if faults else "nothing wrong was found"
+    if warnings:
+        verdict += f"; {warnings} warning{'s' if warnings > 1 else ''} above on how it was read"
     if not sys.stdout.isatty():
         print(f"{plain(title)}, {report.measured.sampled} of {report.measured.frames} frames looked at")
         for finding in report.findings:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from ..text.configfile import Count, Positive
+from ..text.plain import plain
 from .input import Input, open_input
 from .output import Output, answer
 
@@ -35,6 +37,7 @@ class MeshCommand:
 
 def mesh(command: MeshCommand) -> int:
     """Fuse a recording's depth along the poses of a run, or of any trajectory."""
+    from ..evaluation import hints
     from ..report.terminal import show_table
     from ..runs.folder import run_trajectory
     from ..runs.mesh import MeshConfig
@@ -44,8 +47,11 @@ def mesh(command: MeshCommand) -> int:
     config = MeshConfig(command.voxel, command.depth_max, command.blocks, every=command.fuse_every)
     out = command.out or (command.poses if command.poses.is_dir() else command.poses.parent) / "mesh.ply"
     trajectory = run_trajectory(command.poses) if command.poses.is_dir() else read_tum(command.poses)
+    noticed = trajectory.notes if sequence.groundtruth is None else hints(trajectory, sequence.groundtruth)
+    for note in noticed:
+        print("warning:", plain(note), file=sys.stderr)
     show_table("mesh", [("mesh", fuse_mesh(sequence, trajectory, out, config)), ("results in", str(out))])
-    answer(mesh=out)
+    answer(mesh=out, notes=noticed)
     return 0
 
 

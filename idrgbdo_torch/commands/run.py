@@ -46,7 +46,7 @@ class RunCommand:
 
 
 def run(command: RunCommand) -> int:
-    """Track a recording, or several; the exit status is 130 where Ctrl-C ended it."""
+    """Track a recording, or several; the exit status is 130 where Ctrl-C ended it, 1 where nothing was tracked."""
     from .batch import expanded, run_many
 
     paths = expanded(command.sequences)

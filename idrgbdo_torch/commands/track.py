@@ -45,6 +45,7 @@ from .observers import Frames, Observer, Session
 from .output import answer
 
 INTERRUPTED = 128 + signal.SIGINT
+NOTHING = "error: run: no frame could be tracked; is the depth scale right? `idrgbdo check` tells what is wrong with"
 
 
 def make_odometry(config: Config) -> Odometry:
@@ -106,7 +107,7 @@ def track(
     """Track a sequence into a run folder, evaluate it where there is ground truth, and show the table.
 
     observers: what else goes along. resume: go on with the interrupted run in the folder; None where that can never be,
-    so no checkpoint is kept.
+    so no checkpoint is kept. The exit status: 130 where Ctrl-C ended it, 1 where no frame could be tracked.
     """
     for warning in job.sequence.warnings:
         print("warning:", plain(warning), file=sys.stderr)
@@ -127,7 +128,12 @@ def track(
     shown = [*run_rows(tracked.done, tracked.summary), *tracked.rows, *again, *(results if has_page else results[:1])]
     show_table(looked_at, shown)
     answer(sequence=job.title, folder=folder, report=folder / "report.html" if has_page else None, **tracked.summary)
-    return INTERRUPTED if tracked.stopped else 0
+    if tracked.stopped:
+        return INTERRUPTED
+    if tracked.done.records and not tracked.summary["tracked"]:
+        print(f"{NOTHING} {plain(job.title)}", file=sys.stderr)
+        return 1
+    return 0
 
 
 def do(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from dataclasses import dataclass, field, replace
@@ -17,13 +18,17 @@ from ..text import configfile
 from ..text.configfile import Bounds, Count
 from .camera_files import camera_values, usual_file
 
-EXAMPLE = "`fx = 525.0`, `fy = 525.0`, `cx = 319.5`, `cy = 239.5`, `depth_scale = 1000.0` (depth values per metre)"
+EXAMPLE = (
+    "`fx = 525.0`, `fy = 525.0`, `cx = 319.5`, `cy = 239.5` (and `depth_scale`, values per metre, unless as usual)"
+)
 CENTER_USUAL = 0.08  # of the image's width, from its middle to the principal point
 USUAL_SIZES = (
     *((160, 120), (320, 240), (640, 480), (960, 720), (1280, 960), (1440, 1080), (2048, 1536)),  # 4:3
     *((640, 360), (960, 540), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160)),  # 16:9
     *((424, 240), (848, 480), (640, 400), (1280, 800), (640, 576), (512, 424), (1200, 680), (256, 192)),
 )
+FARTHEST_RAY = 3.0  # tangent of the angle off the axis: of an image of 143 degrees
+FOLDED = 0.85  # of the way to the corner, from which on a fold is a matter of the corner alone
 FARTHEST_M = 100.0  # that a depth camera stands from its colour camera
 LEAST_FOCAL = 1e-3  # of the image's size: an angle of view of 179.9 degrees
 MIDDLE = 0.06  # of the size, that a principal point of one of these is off at most
@@ -129,6 +134,24 @@ class Calibration:
         return (
             f"the principal point {self.cx:g}, {self.cy:g} is far from the middle of images of {width}x{height}: are "
             f"these the intrinsics of images of another size? {self._advice(self.likely_size(), (width, height))}"
+        )
+
+    def distortion_doubt(self, width: int, height: int) -> str:
+        """A sentence where the distortion folds the image over within it, as no lens does; else empty."""
+        corner = max(
+            math.hypot((u - self.cx) / self.fx, (v - self.cy) / self.fy) for u in (0, width) for v in (0, height)
+        )
+        r2 = np.linspace(0.0, FARTHEST_RAY, 2000) ** 2
+        with np.errstate(all="ignore"):
+            above = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+            distorted = np.sqrt(r2) * above / (1 + r2 * (self.k4 + r2 * (self.k5 + r2 * self.k6)))
+        outwards = np.diff(distorted) > 0  # false of what is no number
+        reached = distorted[-1 if outwards.all() else int(np.argmin(outwards))]
+        if reached >= FOLDED * corner:
+            return ""
+        return (
+            "the distortion folds the image over within it, as no lens does: are coefficients missing or in another "
+            "order? k1, k2, p1, p2, k3, and k4, k5, k6 of the rational model, are all needed where there are eight"
         )
 
     def _advice(self, size: tuple[int, int] | None, images: tuple[int, int]) -> str:

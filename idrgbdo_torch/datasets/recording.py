@@ -102,6 +102,7 @@ class RecordedSequence:
         in_file = recording.calibration.depth_scale
         reading = depth_reading(depth, self._later_depths, options.depth_scale, in_file, recording.depth_scale)
         self.depth_scale = reading.scale
+        self._assumed = options.depth_scale is None and in_file is None
         self._builder = FrameBuilder(
             recording.calibration, color, reading.scale, reading.unknown, depth.dtype.kind == "f"
         )
@@ -109,8 +110,9 @@ class RecordedSequence:
         built = self._builder.frame_or_reason(0.0, lambda: (color, depth))
         if isinstance(built, BrokenFrame):  # colour and depth must fit each other
             raise IdRgbdoError(built.reason)
-        size_doubt = recording.calibration.size_doubt(self.camera.width, self.camera.height)
-        self.warnings = [*recording.warnings, *reading.warnings, *filter(None, [size_doubt])]
+        size = self.camera.width, self.camera.height
+        doubts = recording.calibration.size_doubt(*size), recording.calibration.distortion_doubt(*size)
+        self.warnings = [*recording.warnings, *reading.warnings, *filter(None, doubts)]
 
     @property
     def recognised(self) -> str:
@@ -118,6 +120,7 @@ class RecordedSequence:
         c = self.camera
         truth = "with ground truth" if self.groundtruth is not None else "no ground truth"
         depth = "depth in metres" if self.depth_scale == 1 else f"{self.depth_scale:g} depth values per metre"
+        depth += " (the format's default)" if self._assumed and self.depth_scale != 1 else ""
         origin = self._recording.calibration.origin
         about = f"{len(self)} frames of {c.width}x{c.height}, {depth}, {truth}"
         return f"{self._recording.title}: {about}{', ' if origin else ''}{origin}"

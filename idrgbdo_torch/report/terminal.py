@@ -107,7 +107,9 @@ def run_rows(run: Run, summary: dict[str, Any]) -> Rows:
     ]
     if fps is not None:
         median, p95, decode = timing["track_median"], timing["track_p95"], timing["decode_median"]
-        rows.append(("time per frame", f"{median:.1f} ms median, {p95:.1f} ms 95 % (waiting another {decode:.1f} ms)"))
+        rows.append(
+            ("time per frame", f"{median:.1f} ms median, {p95:.1f} ms 95 % (and {decode:.1f} ms of waiting for images)")
+        )
         rows.append(("speed", f"{fps:.1f} frames per second"))
     return rows
 

@@ -31,9 +31,10 @@ def read_rows(path: Path) -> PoseRows:
 
     Raises IdRgbdoError with file and line for what is no such line, and for two runs in one file.
     """
+    lines = _lines(path)
     found = [
         (number, row)
-        for number, line in _lines(path)
+        for number, line in lines
         if (row := _row(line, f"{path}, line {number}")) is not None
     ]  # fmt: skip
     if not found:
@@ -47,6 +48,8 @@ def read_rows(path: Path) -> PoseRows:
         )
     rows = [(in_seconds(stamp, unit), pose) for _, (stamp, pose) in found]
     notes = [] if unit == "seconds" else [f"the timestamps of '{path.name}' are {unit} and are read as such"]
+    if invalid := len(lines) - len(found):
+        notes.append(f"{invalid} of the {len(lines)} poses of '{path.name}' are marked invalid and are left out")
     notes += _order([number for number, _ in found], rows, path)
     by_time = dict(rows)  # the last of equal times, as the TUM tools have it
     return PoseRows(sorted(by_time), [by_time[time] for time in sorted(by_time)], tuple(notes))

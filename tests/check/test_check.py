@@ -19,6 +19,7 @@ from idrgbdo_torch.check.picture import draw
 from idrgbdo_torch.check.timing import timing
 from idrgbdo_torch.commands.cli import main
 from idrgbdo_torch.datasets import open_sequence
+from idrgbdo_torch.definitions.camera import Pinhole
 from idrgbdo_torch.frame import BrokenFrame, RgbdFrame
 from idrgbdo_torch.trajectory import Trajectory
 
@@ -233,6 +234,40 @@ def test_gaps_are_counted_in_frames_whatever_the_jitter() -> None:
     assert slow is not None
     assert slow.missing == 0
     assert timing([0.0, 0.1]) is None
+
+
+def test_a_pause_is_no_gap_of_a_slow_disk() -> None:
+    times = np.arange(100) / 30
+    times[50:] += 300.0
+    paused = timing(times.tolist())
+    assert paused is not None
+    assert (paused.missing, paused.pauses_s) == (0, pytest.approx((300.0 + 1 / 30,)))
+    slow = timing(np.cumsum([0.0, *[1.0] * 20, 3.0, *[1.0] * 20]).tolist())
+    assert slow is not None and (slow.missing, slow.pauses_s) == (2, ())
+
+
+def test_the_command_says_what_it_read_and_what_is_doubtful_about_it(
+    data_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["check", str(data_dir / "redwood_5"), "--out", str(tmp_path / "a.png")]) == 1
+    out, err = capsys.readouterr()
+    assert out.startswith(
+        "reading TUM RGB-D layout: 5 frames of 640x480, 5000 depth values per metre (the format's default)"
+    )
+    assert err.startswith("warning: depth scale 5000 makes the first frame's median depth 0.372 m")
+    assert "; 1 warning above on how it was read" in out
+
+
+@pytest.mark.parametrize(("side", "fault"), [(30, True), (60, False)])
+def test_small_images_are_not_judged_by_a_pixel(side: int, fault: bool) -> None:
+    camera = Pinhole(width=2 * side, height=side, fx=1.6 * side, fy=1.6 * side, cx=side - 0.5, cy=side / 2 - 0.5)
+    gray = 255 * torch.rand(side, 2 * side, generator=torch.Generator().manual_seed(0))
+    depth = torch.full_like(gray, 1.5)
+    depth[side // 3 :, side // 2 :] = 1.0
+    frames = [RgbdFrame(n / 30, gray, depth, camera) for n in range(8)]
+    found = {finding.name: finding for finding in check(Recording(frames)).findings}
+    assert (found["size, camera"].verdict is Verdict.FAULT) == fault
+    assert found["colour on depth"].verdict is Verdict.UNKNOWN
 
 
 def test_edges_width_grows_with_blur() -> None:

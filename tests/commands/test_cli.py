@@ -10,6 +10,7 @@ import sys
 import time
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,10 @@ import torch
 from idrgbdo_torch.commands import demo, track
 from idrgbdo_torch.commands.cli import RunCommand, main, parse
 from idrgbdo_torch.config import Config
-from idrgbdo_torch.odometry import ConstantVelocity, Odometry
-from idrgbdo_torch.trajectory import read_tum
+from idrgbdo_torch.definitions import se3
+from idrgbdo_torch.frame import RgbdFrame
+from idrgbdo_torch.odometry import ConstantVelocity, Odometry, Status, TrackResult
+from idrgbdo_torch.trajectory import Trajectory, read_tum, write_tum
 
 Make = Callable[..., Path]
 SLOW_RUN = """
@@ -142,6 +145,35 @@ def test_a_truncated_image_in_the_middle_loses_that_frame(
     assert [row.split(",")[1] for row in rows] == ["weak", "weak", "lost", "weak"]
     assert "truncated PNG" in rows[2]
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["lost"] == 1
+
+
+def test_a_run_that_tracks_nothing_says_so_and_ends_with_status_1(
+    make_recording: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Lost(ConstantVelocity):
+        def track(self, frame: RgbdFrame) -> TrackResult:
+            return replace(super().track(frame), status=Status.LOST, reason="too dark")
+
+    monkeypatch.setattr(track, "make_odometry", lambda config: Lost())
+    assert main(["run", str(make_recording()), "--out", str(tmp_path / "out")]) == 1
+    assert capsys.readouterr().err.startswith("error: run: no frame could be tracked; is the depth scale right?")
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["lost"] == 4
+
+
+def test_a_mesh_along_inverted_or_invalid_poses_is_doubted(
+    make_recording: Make, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = make_recording(frames=12)
+    truth = read_tum(folder / "groundtruth.txt")
+    turn = se3.exp(torch.tensor([[0.1 * n, 0.0, 0.05 * n, 0.15 * n, 0.1 * n, -0.1 * n] for n in range(12)]).double())
+    write_tum(folder / "groundtruth.txt", Trajectory(truth.timestamps, truth.T_world_cam @ turn))
+    write_tum(tmp_path / "a.txt", Trajectory(truth.timestamps, se3.inverse(truth.T_world_cam @ turn)))
+    with (tmp_path / "a.txt").open("a") as file:
+        file.write("200 nan 0 0 0 0 0 1\n")
+    main(["mesh", str(folder), str(tmp_path / "a.txt")])
+    warnings = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning:")]
+    assert "1 of the 13 poses of 'a.txt' are marked invalid and are left out" in warnings[0]
+    assert "inverted" in warnings[1] or "inverse" in warnings[1]
 
 
 def remove(name: str) -> Callable[[Path], None]:

@@ -221,3 +221,23 @@ def test_a_camera_of_the_usual_kind_is_not_doubted() -> None:
         (Calibration(262.5, 262.5, 79.5, 59.5), (161, 121)),
     ):
         assert camera.size_doubt(*size) == ""
+
+
+AZURE = (0.5, -2.6, 0.0004, -0.0003, 1.5, 0.38, -2.4, 1.4)  # such as its factory calibration has
+
+
+@pytest.mark.parametrize(
+    ("k", "folds"),
+    [
+        (AZURE, False),
+        (AZURE[:5], True),  # the three of the denominator are forgotten
+        ((0.26, -0.95, -0.005, 0.003, 1.16), False),  # TUM's first Kinect
+        ((-0.33, 0.13, 0.0, 0.0), False),
+        ((-0.9,), True),
+        ((-0.3,), False),  # in the corners alone
+    ],
+)
+def test_a_distortion_that_folds_the_image_is_doubted(k: tuple[float, ...], folds: bool) -> None:
+    names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    camera = Calibration(517.0, 517.0, 319.5, 239.5, **dict(zip(names, k, strict=False)))
+    assert camera.distortion_doubt(640, 480).startswith("the distortion folds the image over") == folds

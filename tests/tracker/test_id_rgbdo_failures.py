@@ -6,10 +6,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from itertools import islice
 
+import numpy as np
 import pytest
 import torch
 from rendered import SMALL, Film, film, later
 
+from idrgbdo_torch.config import Config, KeyframeConfig, WindowConfig
 from idrgbdo_torch.definitions import se3
 from idrgbdo_torch.evaluation import evaluate
 from idrgbdo_torch.frame import RgbdFrame
@@ -172,6 +174,16 @@ def test_a_clock_that_stands_still_or_runs_backwards_does_not_freeze_the_pose(de
         assert record.result.status is not Status.LOST
         E = record.result.T_world_cam @ desk.T(n, 0)
         assert E[:3, 3].norm() < (0.002 if n < 5 else 0.008)
+
+
+def test_pixels_that_are_no_numbers_stay_out_of_the_window(desk: Film) -> None:
+    odometry = IdRgbdo(Config(keyframe=KeyframeConfig(threshold_bits=1e-3), window=WindowConfig(keyframes=3)))
+    for number, frame in enumerate(desk.frames[:8]):
+        gray = frame.gray.clone()
+        gray[60:80, 10 * number : 10 * number + 20] = torch.nan
+        assert odometry.track(replace(frame, gray=gray)).status is Status.OK
+    assert np.isfinite(odometry.window.solved.reduced).all()
+    assert off(odometry, desk, 0, 7) < 0.005
 
 
 def test_far_steps_over_little_texture_are_searched_for_again() -> None:
