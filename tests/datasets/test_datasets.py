@@ -209,7 +209,9 @@ def test_associations_alone_will_do(make_recording: Make) -> None:
     for name in ("rgb.txt", "depth.txt"):
         (folder / name).unlink()
     sequence = open_sequence(folder)
-    assert sequence.recognised.startswith("TUM RGB-D layout: 4 frames of 64x48, 5000 depth values per metre, with ")
+    assert sequence.recognised.startswith(
+        "TUM RGB-D layout: 4 frames of 64x48, 5000 depth values per metre (the format's default), with "
+    )
     assert sequence.timestamps == expected
 
 

@@ -298,7 +298,7 @@ def test_images_are_paired_by_their_names(
     assert sequence.timestamps == pytest.approx(times, abs=1e-9)
     assert [type(frame) for frame in sequence] == [RgbdFrame, RgbdFrame]
     assert sequence.recognised.startswith("folder of images, rgb/ and depth/, paired ")
-    assert "1000 depth values per metre, no ground truth" in sequence.recognised
+    assert "1000 depth values per metre (the format's default), no ground truth" in sequence.recognised
 
 
 def test_images_without_partner_are_left_out_with_a_warning(tmp_path: Path) -> None:
