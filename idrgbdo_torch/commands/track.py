@@ -45,7 +45,7 @@ from .observers import Frames, Observer, Session
 from .output import answer
 
 INTERRUPTED = 128 + signal.SIGINT
-NOTHING = "error: run: no frame could be tracked; is the depth scale right? `idrgbdo check` tells what is wrong with"
+WHY = "`idrgbdo check` may tell why: dark images, say, or a wrong depth scale"
 
 
 def make_odometry(config: Config) -> Odometry:
@@ -131,7 +131,7 @@ def track(
     if tracked.stopped:
         return INTERRUPTED
     if tracked.done.records and not tracked.summary["tracked"]:
-        print(f"{NOTHING} {plain(job.title)}", file=sys.stderr)
+        print(f"error: run: no frame of {plain(job.title)} could be tracked; {WHY}", file=sys.stderr)
         return 1
     return 0
 

@@ -156,7 +156,9 @@ def test_a_run_that_tracks_nothing_says_so_and_ends_with_status_1(
 
     monkeypatch.setattr(track, "make_odometry", lambda config: Lost())
     assert main(["run", str(make_recording()), "--out", str(tmp_path / "out")]) == 1
-    assert capsys.readouterr().err.startswith("error: run: no frame could be tracked; is the depth scale right?")
+    assert capsys.readouterr().err.startswith(
+        "error: run: no frame of tiny could be tracked; `idrgbdo check` may tell why"
+    )
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["lost"] == 4
 
 

@@ -166,7 +166,7 @@ def test_a_run_without_any_pose_gets_its_report_and_says_why_there_is_no_mesh(
     folder = make_recording()
     for image in (folder / "rgb").glob("*.png"):
         cv2.imwrite(str(image), np.zeros((48, 64, 3), np.uint8))
-    assert main(["run", str(folder), "--out", str(tmp_path / "out"), "--map", "mesh"]) == 0
+    assert main(["run", str(folder), "--out", str(tmp_path / "out"), "--map", "mesh"]) == 1
     output = capsys.readouterr()
     assert "none: trajectory: expected poses" in output.out and "Traceback" not in output.err
     assert (tmp_path / "out" / "report.html").stat().st_size > 0 and (tmp_path / "out" / "summary.json").exists()
