@@ -161,11 +161,12 @@ def test_open3d_tensor_rows_are_the_librarys_own(loss: open3d_tensor.Loss, pair:
         o3d.t.pipelines.odometry.rgbd_odometry_multi_scale(
             *images, K, o3d.core.Tensor(np.eye(4)), 1.0, method=method
         ).transformation.numpy()
-        for _ in range(5)  # its parallel sums differ from call to call, by 5e-7 to 3e-6 with the machine's load
+        for _ in range(5)
     ]
-    spread = max(float(np.ptp(direct, axis=0).max()), 3e-6)  # five calls need not show all of it
-    assert spread < 2e-5
-    assert_same_motion(open3d_tensor.aligner(loss), np.mean(direct, axis=0), pair, atol=1e-6 + 2 * spread)
+    # its parallel sums differ from call to call, by 5e-7 to 3e-6 with the machine's load, and once by 1.5e-5, as a
+    # search that ends a step later does; another method is off by 1.5e-3, depth that is 5 % off by 1.4e-4 and more
+    assert float(np.ptp(direct, axis=0).max()) < 6e-5
+    assert_same_motion(open3d_tensor.aligner(loss), np.mean(direct, axis=0), pair, atol=6e-5)
 
 
 @pytest.mark.parametrize("term", ["Color", "Hybrid"])
