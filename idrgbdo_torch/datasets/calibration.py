@@ -146,8 +146,7 @@ class Calibration:
             above = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
             distorted = np.sqrt(r2) * above / (1 + r2 * (self.k4 + r2 * (self.k5 + r2 * self.k6)))
         outwards = np.diff(distorted) > 0  # false of what is no number
-        reached = distorted[-1 if outwards.all() else int(np.argmin(outwards))]
-        if reached >= FOLDED * corner:
+        if outwards.all() or distorted[np.argmin(outwards)] >= FOLDED * corner:
             return ""
         return (
             "the distortion folds the image over within it, as no lens does: are coefficients missing or in another "

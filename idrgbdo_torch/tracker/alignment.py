@@ -83,7 +83,7 @@ def align(
     surprise_px = displacement(pair, start.T, tracked.T_frame_kf)
     if surprise_px > WIDE_PX and not verdict.doubt(LIMITS.weak):
         tracked, verdict = align_wide(pair, tracked, verdict)
-    return tracked, replace(verdict, astray=is_suspect(pair, start, tracked, verdict)), surprise_px
+    return tracked, replace(verdict, far=is_suspect(pair, start, tracked, verdict)), surprise_px
 
 
 def is_suspect(pair: Pair, start: State, tracked: Tracked, verdict: Verdict) -> bool:

@@ -57,7 +57,7 @@ class Verdict:
     points: int = 0  # so many are seen that nothing hides
     supported: bool = False  # features that had no part in the alignment agree with it
     lately: float = 1.0  # share of the frame's texture that looks as in the last frames, where that is asked
-    astray: bool = False  # far from where the frame was expected, and depth speaks against it
+    far: bool = False  # from where the frame was expected, and depth speaks against it
 
     @property
     def score(self) -> float:
@@ -109,8 +109,8 @@ def doubtful(verdict: Verdict, intruded: bool, before: bool, entropies: Array) -
     some more points come to agree with it.
     """
     least = LIMITS.left_again if before else LIMITS.left
-    astray = "far from where the frame was expected, and depth differs" if verdict.astray else ""
-    return verdict.doubt(LIMITS.weak) or obstructed(verdict, intruded, least) or unsure(entropies) or astray
+    far = "far from where the frame was expected, and depth differs" if verdict.far else ""
+    return verdict.doubt(LIMITS.weak) or obstructed(verdict, intruded, least) or unsure(entropies) or far
 
 
 def unusable(verdict: Verdict, intruded: bool, strict: float) -> str:

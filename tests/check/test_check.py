@@ -258,13 +258,20 @@ def test_the_command_says_what_it_read_and_what_is_doubtful_about_it(
     assert "; 1 warning above on how it was read" in out
 
 
-@pytest.mark.parametrize(("side", "fault"), [(30, True), (60, False)])
-def test_small_images_are_not_judged_by_a_pixel(side: int, fault: bool) -> None:
-    camera = Pinhole(width=2 * side, height=side, fx=1.6 * side, fy=1.6 * side, cx=side - 0.5, cy=side / 2 - 0.5)
-    gray = 255 * torch.rand(side, 2 * side, generator=torch.Generator().manual_seed(0))
-    depth = torch.full_like(gray, 1.5)
-    depth[side // 3 :, side // 2 :] = 1.0
-    frames = [RgbdFrame(n / 30, gray, depth, camera) for n in range(8)]
+@pytest.mark.parametrize(("height", "fault"), [(30, True), (60, False)])
+def test_small_images_are_not_judged_by_a_pixel(good: Film, height: int, fault: bool) -> None:
+    size, s = (height * 4 // 3, height), height / 240
+    c = good.frames[0].camera
+    camera = Pinhole(width=size[0], height=height, fx=c.fx * s, fy=c.fy * s, cx=(size[0] - 1) / 2, cy=(height - 1) / 2)
+    frames = [
+        RgbdFrame(
+            frame.timestamp,
+            torch.from_numpy(cv2.resize(frame.gray.numpy(), size, interpolation=cv2.INTER_AREA)),
+            torch.from_numpy(cv2.resize(frame.depth.numpy(), size, interpolation=cv2.INTER_NEAREST)),
+            camera,
+        )
+        for frame in good.frames
+    ]
     found = {finding.name: finding for finding in check(Recording(frames)).findings}
     assert (found["size, camera"].verdict is Verdict.FAULT) == fault
     assert found["colour on depth"].verdict is Verdict.UNKNOWN

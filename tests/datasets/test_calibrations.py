@@ -235,9 +235,14 @@ AZURE = (0.5, -2.6, 0.0004, -0.0003, 1.5, 0.38, -2.4, 1.4)  # such as its factor
         ((-0.33, 0.13, 0.0, 0.0), False),
         ((-0.9,), True),
         ((-0.3,), False),  # in the corners alone
+        ((), False),
     ],
 )
 def test_a_distortion_that_folds_the_image_is_doubted(k: tuple[float, ...], folds: bool) -> None:
     names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     camera = Calibration(517.0, 517.0, 319.5, 239.5, **dict(zip(names, k, strict=False)))
     assert camera.distortion_doubt(640, 480).startswith("the distortion folds the image over") == folds
+
+
+def test_a_wide_view_without_distortion_is_not_doubted() -> None:
+    assert Calibration(20.0, 20.0, 319.5, 239.5).distortion_doubt(640, 480) == ""

@@ -93,6 +93,14 @@ def test_what_is_missing_is_found_without_compiling_it() -> None:
     assert warmup.first_missing(lambda config: Calling(kernel)) == ""
 
 
+def test_the_process_that_helps_to_compile_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once for all configurations: asking a second time for its output raised, and all was begun again."""
+    python_of, kernel = warmup.python, njit(lambda x: x + 3)
+    monkeypatch.setattr(warmup, "python", lambda script: python_of("pass"))
+    warmup.compile_all(lambda config: Calling(kernel))
+    assert kernel.signatures
+
+
 def test_a_process_has_the_modules_of_this_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "only_here.py").touch()
     monkeypatch.syspath_prepend(tmp_path)
