@@ -58,5 +58,5 @@ def test_kernels_stand_file_for_file_beside_their_definitions() -> None:
     kernels, definitions = (
         {path.stem for path in (PACKAGE / side).glob("*.py")} for side in ("kernels", "definitions")
     )
-    # what linearise and window share; images and matches, whose oracle is OpenCV; what sights saw, which is no equation
-    assert kernels - definitions == {"compiled", "patch", "equations", "pyramid", "matching", "sights"}
+    # what linearise and window share; images and matches, whose oracle is OpenCV; sights and surfaces, no equations
+    assert kernels - definitions == {"compiled", "patch", "equations", "pyramid", "matching", "sights", "surface"}

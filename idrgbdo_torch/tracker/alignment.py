@@ -14,6 +14,7 @@ from .doubt import align_blurred, is_blurred
 from .features import HALF, start_from_features, strangers
 from .intruder import hidden
 from .keyframe import all_patches
+from .surface import lay, lies_on_surface
 from .tracking import FREE, Pair, Tracked, track_closely, track_frame
 from .verification import LIMITS, Verdict, verify
 
@@ -72,13 +73,19 @@ def align(
         if not (verdict.doubt(LIMITS.lost) or is_suspect(pair, start, tracked, verdict)):
             return tracked, verdict, displacement(pair, start.T, tracked.T_frame_kf)
     if is_suspect(pair, start, tracked, verdict):
+        verdict = with_surface(pair, tracked, verdict)
+        again, second = recover_by_depth(pair, [start.T, resting], start.affine, index)
+        if is_better(pair, start, (again, second), (tracked, verdict)):
+            tracked, verdict = again, second
+    if is_suspect(pair, start, tracked, verdict):
         again, second = recover_by_features(pair, start.affine, index)
-        if second.score > verdict.score or (second.supported and not second.doubt(LIMITS.lost)):
+        agrees = second.supported and not second.doubt(LIMITS.lost)
+        if agrees or is_better(pair, start, (again, second), (tracked, verdict)):
             tracked, verdict = again, second
     if is_suspect(pair, start, tracked, verdict) and not (smooth and strangers(pair.frame, pair.keyframe.frame)):
         far = displacement(pair, start.T, resting) > OTHER_PX
         again, second = recover(pair, [start.T, resting] if far else [start.T], start.affine, index)
-        if second.score > verdict.score:
+        if is_better(pair, start, (again, second), (tracked, verdict)):
             tracked, verdict = again, second
     surprise_px = displacement(pair, start.T, tracked.T_frame_kf)
     if surprise_px > WIDE_PX and not verdict.doubt(LIMITS.weak):
@@ -90,10 +97,22 @@ def is_suspect(pair: Pair, start: State, tracked: Tracked, verdict: Verdict) -> 
     """Whether a pose may be another minimum than the true one: doubtful, or far from where the frame was expected while
     depth speaks against it. What lies nearer than a wrong pose expects looks as if it stood in front.
     """
-    if verdict.doubt(LIMITS.weak):
-        return True
+    return bool(verdict.doubt(LIMITS.weak)) or is_far(pair, start.T, tracked, verdict)
+
+
+def is_far(pair: Pair, guess: Array, tracked: Tracked, verdict: Verdict) -> bool:
+    """Whether depth speaks against a pose that is far from the guess of T_frame_kf."""
     differs = verdict.near < FAR_NEAR or verdict.hidden > LIMITS.in_front
-    return differs and displacement(pair, start.T, tracked.T_frame_kf) > WIDE_PX
+    return differs and displacement(pair, guess, tracked.T_frame_kf) > WIDE_PX
+
+
+def is_better(pair: Pair, start: State, one: tuple[Tracked, Verdict], other: tuple[Tracked, Verdict]) -> bool:
+    """Whether one of two poses is to be taken: one not suspect, or that depth alone is sure of; then by score."""
+
+    def rank(found: tuple[Tracked, Verdict]) -> tuple[bool, float]:
+        return found[1].on_surface or not is_suspect(pair, start, *found), found[1].score
+
+    return rank(one) > rank(other)
 
 
 def align_wide(pair: Pair, tracked: Tracked, verdict: Verdict) -> tuple[Tracked, Verdict]:
@@ -128,6 +147,25 @@ def blind(frame: Frame) -> bool:
     return not bool((frame.depth > 0.0).any())
 
 
+def recover_by_depth(pair: Pair, guesses: Sequence[Array], affine: Array, index: Index) -> tuple[Tracked, Verdict]:
+    """recover() from where depth alone puts the frame, which holds it there as far as it is known."""
+    laid = lay(pair, guesses)
+    if laid is None:
+        return NOTHING
+    pair = replace(pair, keyframe=all_patches(pair.keyframe, pair.backend))
+    points = pair.keyframe.points
+    everyone = Subset(np.arange(len(points.uv)), points.patch.shape[2])
+    tracked = track_frame(pair, State(laid.T_frame_kf, affine), index, everyone, laid.information, NEAR_LEVELS)
+    tracked = replace(tracked, information=tracked.information + laid.information)  # which is no prior's
+    return tracked, with_surface(pair, tracked, verify(pair, tracked))
+
+
+def with_surface(pair: Pair, tracked: Tracked, verdict: Verdict) -> Verdict:
+    """The verdict, and whether depth alone is sure of the pose, where brightness may not be."""
+    sure = verdict.bright > LIMITS.alike and lies_on_surface(pair, tracked.T_frame_kf)
+    return replace(verdict, on_surface=sure)
+
+
 def recover_by_features(pair: Pair, affine: Array, index: Index) -> tuple[Tracked, Verdict]:
     """recover() from where the features of frame and keyframe say: for views far apart, where no prediction holds."""
     start = start_from_features(pair.frame, pair.keyframe.frame, HALF)
@@ -153,4 +191,5 @@ def recover(
         tried.append((tracked, verify(pair, tracked)))
         if not tried[-1][1].doubt(LIMITS.weak):
             break
-    return max(tried, key=lambda found: found[1].score)
+    tracked, verdict = max(tried, key=lambda found: found[1].score)
+    return tracked, with_surface(pair, tracked, verdict)

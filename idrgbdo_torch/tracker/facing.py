@@ -18,6 +18,7 @@ from .intruder import agreement, outlined, some_views
 from .motion import Motion
 from .reference import Reference
 from .results import after
+from .surface import lies_on_all
 from .tracking import CLOSE, Pair, Tracked
 from .verification import LIMITS, Verdict, doubtful
 
@@ -40,16 +41,23 @@ class Facing(Shown):
     def _confronted(self, frame: Frame, T_frame_world: Array, verdict: Verdict, intruded: bool) -> Verdict:
         """The verdict, and what the last frames say to a pose (4, 4) beside what is in front: it leaves few points.
 
-        intruded: something was in front of the keyframe.
+        intruded: something was in front of the keyframe. After wide steps they saw little of what the frame sees.
         """
-        if not self._faces(verdict, intruded) or verdict.doubt(LIMITS.lost):
+        asked = self._faces(verdict, intruded) and self.motion.at_video_rate and not verdict.on_surface
+        if not asked or verdict.doubt(LIMITS.lost):
             return verdict
         seen = self.motion.carried.beside(frame) if self.motion.carried else frame
         return replace(verdict, lately=agreement(seen, self._sights(T_frame_world)))
 
     def _verdict(self, frame: Frame, tracked: Tracked, verdict: Verdict, reference: Reference) -> Verdict:
-        """Likewise, of a pose against the newest keyframe."""
-        return self._confronted(frame, tracked.T_frame_kf @ reference.T_kf_world, verdict, reference.keyframe.intruded)
+        """Likewise, of a pose against the newest keyframe. Where depth shows that nothing is in front of anything that
+        the window knows, the last frames, in which something seemed to be, are not asked.
+        """
+        T_frame_world, intruded = tracked.T_frame_kf @ reference.T_kf_world, reference.keyframe.intruded
+        if self._faces(verdict, intruded) and verdict.hidden <= LIMITS.in_front:
+            alone = lies_on_all(frame, T_frame_world, self.window.members, self.noise, self.backend)
+            verdict = replace(verdict, on_surface=alone and verdict.bright > LIMITS.alike)
+        return self._confronted(frame, T_frame_world, verdict, intruded)
 
     def _faces(self, verdict: Verdict, intruded: bool) -> bool:
         """Whether something is in front of the view, or was just now."""

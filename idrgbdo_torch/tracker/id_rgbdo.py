@@ -16,7 +16,7 @@ from ..frame import Frame, Keyframe, RgbdFrame, check_next
 from ..kernels.se3 import inverse
 from ..measurement import Noise, State, tracked_noise, with_blur
 from ..odometry import TrackResult
-from .alignment import align, displacement
+from .alignment import align, displacement, is_far
 from .backends import backend_named
 from .between import LATE_COLOR, track_between
 from .doubt import BLURRED, KEPT_IN_VIEW, sharpness_since
@@ -154,8 +154,12 @@ class IdRgbdo(Losing):
         if carried is None or (keyframe := carried.seen_in(pair, T_frame_world, verdict)) is None:
             if self.history.doubted is not None:
                 return tracked, verdict
-            smooth = self.motion.at_video_rate
-            return held_against(frame, self.window.members, self.noise, self.backend, tracked, verdict, smooth)
+            smooth, members = self.motion.at_video_rate, self.window.members
+            found, said = held_against(frame, members, self.noise, self.backend, tracked, verdict, smooth)
+            if found is tracked:
+                return tracked, said
+            guess = self.motion.predicted(self.motion.gap(frame.timestamp)) @ inverse(reference.T_kf_world)
+            return found, replace(said, far=is_far(pair, guess, found, said))
         self._leave_window()
         self.history.forget(carried.number)
         self.motion.begin(carried.T_kf_world)
@@ -228,7 +232,10 @@ class IdRgbdo(Losing):
         if self.motion.astray or not (blurred or wanted):
             return False
         before = self.window.members.keyframes[-1].frame if self.window.members else frame
-        sharp = sharpness_since(self._pair(frame, reference), tracked.T_frame_kf, before)
+        pair = self._pair(frame, reference)
+        sharp = sharpness_since(pair, tracked.T_frame_kf, before)
+        if sharp < BLURRED and self._only_looks_blurred(pair, tracked.T_frame_kf):
+            sharp = 1.0
         in_view = verdict.visible > KEPT_IN_VIEW and not self.history.settles
         if sharp < BLURRED and (in_view or not wanted):
             return False

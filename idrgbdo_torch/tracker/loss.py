@@ -21,6 +21,7 @@ from .motion import PATIENCE
 from .recovery import Found, find_in_newest, find_in_places, find_in_window, find_near
 from .reference import Reference
 from .results import found_in, held
+from .surface import lies_on_surface
 from .tracking import Pair, Tracked
 from .verification import LIMITS
 from .window import Window
@@ -65,8 +66,12 @@ class Losing(Facing):
         """Whether the last frame was blurred."""
         if self.reference is None:
             return False
-        T_last_kf = self.motion.T_cam_world @ inverse(self.reference.T_kf_world)
-        return sharpness(self._pair(last, self.reference), T_last_kf) < BLURRED
+        pair, T_last_kf = self._pair(last, self.reference), self.motion.T_cam_world @ inverse(self.reference.T_kf_world)
+        return sharpness(pair, T_last_kf) < BLURRED and not self._only_looks_blurred(pair, T_last_kf)
+
+    def _only_looks_blurred(self, pair: Pair, T_frame_kf: Array) -> bool:
+        """Whether it does not matter: after a wide step slopes differ anyway, and depth may be sure of the pose."""
+        return not self.motion.at_video_rate and lies_on_surface(pair, T_frame_kf)
 
     def _start_segment(self, frame: Frame, reason: str) -> TrackResult:
         """Begin at the last pose: the first frame, or one after too many lost ones; lost where it lacks points."""

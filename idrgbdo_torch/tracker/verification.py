@@ -29,6 +29,7 @@ class Limits:
     sure: float = 0.7  # share of agreeing points under which a quick alignment is not taken for granted,
     weak: float = 0.61  # a pose is doubtful,
     lost: float = 0.54  # and is not used
+    alike: float = 0.4  # under which a pose is not used even if depth alone is sure of it,
     depth_above: float = 0.12  # how much larger the share must be in depth, which knows no shadows and highlights
     lately_above: float = 0.09  # likewise among what the last frames saw, which are nearer than the keyframe
     few_depths: int = 12  # fewer measured depths than this are too few to judge by
@@ -56,6 +57,7 @@ class Verdict:
     hidden: float = 0.0  # share of the seen ones with depth that something nearer hides
     points: int = 0  # so many are seen that nothing hides
     supported: bool = False  # features that had no part in the alignment agree with it
+    on_surface: bool = False  # depth alone is sure of it, as both views show one surface: brightness may change
     lately: float = 1.0  # share of the frame's texture that looks as in the last frames, where that is asked
     far: bool = False  # from where the frame was expected, and depth speaks against it
 
@@ -78,7 +80,8 @@ class Verdict:
         """Why the pose is not to be believed, empty when it is; strict grows the limits towards 1."""
         if self.visible < LIMITS.in_view:
             return f"only {self.visible:.0%} of the keyframe is in view"
-        if self.bright < strict and not (self.supported and strict <= LIMITS.lost):  # then doubtful, but not lost
+        supported = self.on_surface or (self.supported and strict <= LIMITS.lost)
+        if self.bright < strict and not (supported and strict != LIMITS.weak):  # then it is doubtful, but not lost
             return f"only {self.bright:.0%} of the points agree in brightness"
         if self.near < strict + LIMITS.depth_above:
             return f"only {self.near:.0%} of the points agree in depth"

@@ -24,11 +24,13 @@ from ..config import Config, KeyframeConfig, SelectionConfig, WindowConfig
 from ..definitions.camera import Pinhole
 from ..frame import Keyframe, RgbdFrame, prepare
 from ..kernels.matching import mutual_matches
+from ..kernels.surface import align_surface, surface_planes
 from ..kernels.tracking import align
 from ..measurement import LEVELS, PIXELS, Points, tracked_noise
 from ..odometry import Odometry
 from .backends import backend_named
 from .features import RATIO, WORDS, poses_of_triangles
+from .surface import GATES, HELD, RADIUS
 from .window import Window
 
 NOTICE = "compiling the kernels, about a minute, once; they are kept for later processes"
@@ -126,6 +128,9 @@ def match_nothing() -> None:
     """Call what only lost frames need."""
     mutual_matches(np.zeros((1, WORDS), np.uint64), np.zeros((1, WORDS), np.uint64), RATIO)
     poses_of_triangles(np.zeros((3, 3)), np.ones((3, 3)))
+    depth, camera = np.zeros((8, 8), np.float32), np.ones(4)
+    planes = surface_planes(depth, camera, RADIUS, RADIUS, 1.0)
+    align_surface(depth, camera, planes, np.eye(4), HELD, 1.0, GATES)
 
 
 def remove_nothing() -> None:
