@@ -152,12 +152,16 @@ def recover_by_depth(pair: Pair, guesses: Sequence[Array], affine: Array, index:
     laid = lay(pair, guesses)
     if laid is None:
         return NOTHING
-    pair = replace(pair, keyframe=all_patches(pair.keyframe, pair.backend))
-    points = pair.keyframe.points
-    everyone = Subset(np.arange(len(points.uv)), points.patch.shape[2])
+    pair, everyone = with_everyone(pair)
     tracked = track_frame(pair, State(laid.T_frame_kf, affine), index, everyone, laid.information, NEAR_LEVELS)
     tracked = replace(tracked, information=tracked.information + laid.information)  # which is no prior's
     return tracked, with_surface(pair, tracked, verify(pair, tracked))
+
+
+def with_everyone(pair: Pair) -> tuple[Pair, Subset]:
+    """The pair with the patches of all candidates on all levels, and all of them."""
+    keyframe = all_patches(pair.keyframe, pair.backend)
+    return replace(pair, keyframe=keyframe), Subset(np.arange(len(keyframe.points.uv)), keyframe.points.patch.shape[2])
 
 
 def with_surface(pair: Pair, tracked: Tracked, verdict: Verdict) -> Verdict:
@@ -182,9 +186,7 @@ def recover(
 
     The finest level keeps the chosen points `index`. There is at least one guess.
     """
-    pair = replace(pair, keyframe=all_patches(pair.keyframe, pair.backend))
-    points = pair.keyframe.points
-    everyone = Subset(np.arange(len(points.uv)), points.patch.shape[2])
+    pair, everyone = with_everyone(pair)
     tried = []
     for guess, count in zip(guesses, levels, strict=False):
         tracked = track_frame(pair, State(guess, affine), index, everyone, FREE, count)

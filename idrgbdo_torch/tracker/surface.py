@@ -31,7 +31,7 @@ HELD = np.array([1.0 / 0.5**2] * 3 + [1.0 / 0.3**2] * 3)  # information by which
 SHARE = 0.02  # of the information that counts: neighbouring planes err alike
 ONE_SURFACE = 0.9  # share of the planes in view that agree, from which on both views see the same surface
 SHAPED = 0.005  # share of the normals' squares in each direction; walls and floors have none without their noise
-MUCH = 0.4  # of a keyframe's planes in view, from which on it is asked
+MUCH = 0.4  # share of a keyframe's planes in view, from which on it is asked
 MEDIAN = 2.0 * np.log(2.0)  # of the squared length of two independent normal numbers
 
 
@@ -54,12 +54,13 @@ class Laid:
 
 def surface(frame: Frame, sigma: float) -> Surface:
     """That of a frame, which keeps it, as it may be looked at again. sigma: noise of a reading in 1/m."""
-    kept: dict[str, Surface] = vars(frame).setdefault("_surface", {})  # beside its fields, as cached_property does
-    if "surface" not in kept:
+    kept: Surface | None = vars(frame).get("_surface")
+    if kept is None:
         step = max(RADIUS, frame.depth.shape[1] // ACROSS)
         planes = surface_planes(frame.depth, camera_of(frame), step, RADIUS, sigma)
-        kept["surface"] = Surface(planes, len(planes) >= FEWEST and least_facing(planes[:, 3:]) > SHAPED)
-    return kept["surface"]
+        kept = Surface(planes, len(planes) >= FEWEST and least_facing(planes[:, 3:]) > SHAPED)
+        vars(frame)["_surface"] = kept  # beside its fields, as cached_property does
+    return kept
 
 
 def camera_of(frame: Frame) -> Array:
