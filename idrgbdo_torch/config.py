@@ -41,7 +41,7 @@ class SelectionConfig:
     """Which points are tracked (section 4.1)."""
 
     mode: Mode = "inf+grid"
-    points: Count = 24
+    points: Annotated[int, Bounds(6)] = 24  # a pose has six degrees of freedom
     bits: Annotated[float, Bounds(high=0)] = 0.0  # wanted entropy, log2 of the worst deviation in m or rad; 0: any
     points_most: Count = 256  # of a pose that is less certain, which gets more points
     per_frame: bool = True  # choose anew when the view has moved by the margin, or only once a keyframe

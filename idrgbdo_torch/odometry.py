@@ -223,9 +223,9 @@ def run(
     """Track all frames, from wherever the odometry stands: the only place that takes time.
 
     The clock runs around track() alone; fetching a frame is timed apart. A BrokenFrame is LOST with its reason, at the
-    last pose. on_record sees every record as soon as it is there, so that an interrupted run leaves what was done.
-    earlier: the records of a run that is continued; they come first in the result, which goes on in them where they are
-    Records already.
+    last pose; before the first frame of a run, at the identity. on_record sees every record as soon as it is there, so
+    that an interrupted run leaves what was done. earlier: the records of a run that is continued; they come first in
+    the result, which goes on in them where they are Records already.
     """
     if not callable(getattr(odometry, "track", None)):
         raise IdRgbdoError(f"odometry: expected an Odometry, got {type(odometry).__name__}; pass IdRgbdo()")

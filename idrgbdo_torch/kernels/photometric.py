@@ -67,17 +67,3 @@ def pose_jacobian(fx, fy, x, y, rho, J):
     J[1, 3] = -fy * (1.0 + y * y)
     J[1, 4] = fy * x * y
     J[1, 5] = fy * x
-
-
-@exact_kernel
-def depth_jacobian(gu, gv, x, y, rho, J, Jz):
-    """Fill the first six of Jz with dr/d[v, w] of the depth residual r = d_measured(uv) - rho.
-
-    (gu, gv): gradient of the measured inverse depth, 1/m per px; J: from pose_jacobian. With the pose, P_z
-    moves by v_z + (y w_x - x w_y) / rho.
-    """
-    for i in range(6):
-        Jz[i] = gu * J[0, i] + gv * J[1, i]
-    Jz[2] += rho * rho
-    Jz[3] += rho * y
-    Jz[4] -= rho * x

@@ -114,6 +114,9 @@ class State:
     extras: list[Any]  # whatever else was collected on the way
     camera: CameraEstimator = field(default_factory=CameraEstimator)  # what was seen of the camera
 
+    def __post_init__(self) -> None:
+        self.records = Records.of(self.records)  # a run goes on in these; of a list it would keep a copy of its own
+
 
 def can_keep(odometry: Odometry) -> bool:
     """Whether the state of an odometry can be written: one of this package, not one that somebody made of it."""

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from ..frame import Frame, Keyframe
 from ..kernels.se3 import inverse
 from ..measurement import IN_FRONT, LEVELS, State, Subset
-from .intruder import only, textured
+from .intruder import textured
+from .keyframe import only
 from .tracking import FREE, Pair, track_frame
 from .verification import LIMITS, Verdict, verify
 

@@ -95,6 +95,8 @@ def others(
     frame: Frame, members: Members, noise: Noise, backend: Backend, tracked: Tracked
 ) -> Iterator[tuple[Pair, State, Array]]:
     """The frame against each older keyframe, where its pose against the newest one puts it, and T_newest_kf (4, 4)."""
+    if len(members.keyframes) < 2:
+        return
     (a_newest, b_newest), gain = members.affine[-1], np.exp(tracked.affine[0])
     a, b = tracked.affine[0] + a_newest, gain * b_newest + tracked.affine[1]
     for keyframe, T_kf_world, (a_kf, b_kf) in zip(members.keyframes[:-1], members.T, members.affine, strict=False):

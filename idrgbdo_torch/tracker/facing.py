@@ -91,7 +91,7 @@ class Facing(Shown):
     def _doubts(self, frame: Frame, tracked: Tracked, verdict: Verdict, entropies: Array) -> str:
         """Why a pose is doubtful that is used, empty where it is not."""
         motion = self.motion
-        asked = motion.obstructed or motion.astray
+        asked = (motion.obstructed or motion.astray) and self.history.doubted is None  # else the window ends before it
         if asked and confirmed(frame, self.window.members, self.noise, self.backend, tracked):
             motion.obstructed = motion.astray = False
         reason = doubtful(verdict, self._newest.keyframe.intruded, motion.obstructed, entropies)

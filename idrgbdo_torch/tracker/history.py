@@ -117,8 +117,10 @@ class History:
         if first is None or T_doubted is None:
             return
         correction, begin = log_se3(inverse(T_doubted) @ T_cam_world), self.keyframe_times[first - 1]
+        passed = timestamp - begin
         for number in range(first, len(self.keyframe_poses)):
-            share = (self.keyframe_times[number] - begin) / (timestamp - begin)
+            share = (self.keyframe_times[number] - begin) / passed if passed > 0.0 else 1.0  # times may stand still
+            share = min(max(share, 0.0), 1.0)  # or have gone back in between
             self.keyframe_poses[number] = self.keyframe_poses[number] @ retract(share * correction, np.eye(4))
 
     def refine(self, poses: Array) -> None:

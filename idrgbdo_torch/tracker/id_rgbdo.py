@@ -81,7 +81,7 @@ class IdRgbdo(Losing):
         if self.reference is not None and self.motion.sees_late:
             return self._between(frame, self.reference)
         if self.reference is None:
-            self.motion.first = rgbd if takes_time(rgbd.camera) else None
+            self.motion.first = rgbd.copied() if takes_time(rgbd.camera) else None
             return self._start_segment(frame, "too few points with depth and texture to start from")
         placed = self._placed(rgbd, frame)
         if (elsewhere := self._elsewhere(placed)) is not None:

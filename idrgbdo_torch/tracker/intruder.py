@@ -14,6 +14,7 @@ from ..frame import Frame, Keyframe
 from ..kernels.se3 import inverse
 from ..measurement import IN_FRONT, Points
 from .glances import FEWEST_KNOWN, STEP, Looked, Sight, fallen, look, moved, sight
+from .keyframe import only
 from .verification import LIMITS
 
 Array = NDArray[np.float64]
@@ -209,17 +210,3 @@ def textured(image: NDArray[np.float32], slope: float = SLOPE) -> Mask:
     slopes = [np.abs(cv2.Sobel(image, cv2.CV_32F, dx, 1 - dx, scale=0.125)) for dx in (1, 0)]
     out: Mask = np.maximum(*slopes) > slope
     return out
-
-
-def only(keyframe: Keyframe, mask: Mask) -> Keyframe:
-    """A keyframe reduced to some of its points (N,)."""
-    points, place = keyframe.points, np.cumsum(mask) - 1
-    fewer = Points(
-        points.uv[mask], points.inv_depth[mask], points.var_inv_depth[mask],
-        np.ascontiguousarray(points.patch[:, mask]), np.ascontiguousarray(points.gradient[:, mask]), points.slope[mask],
-    )  # fmt: skip
-    return replace(
-        keyframe, points=fewer, measured=keyframe.measured[mask], measured_variance=keyframe.measured_variance[mask],
-        radius=keyframe.radius[mask], coarse=place[keyframe.coarse[mask[keyframe.coarse]]],
-        witnesses=place[keyframe.witnesses[mask[keyframe.witnesses]]],
-    )  # fmt: skip

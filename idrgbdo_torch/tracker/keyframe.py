@@ -81,3 +81,17 @@ def all_patches(keyframe: Keyframe, backend: Backend) -> Keyframe:
     everyone = np.arange(len(points.uv))
     backend.sample_patches(keyframe.frame.images, points.uv, everyone, range(1, len(patch)), COMPACT, patch, gradient)
     return replace(keyframe, points=points._replace(patch=patch, gradient=gradient))
+
+
+def only(keyframe: Keyframe, mask: NDArray[np.bool_]) -> Keyframe:
+    """The keyframe with some of its points alone; mask: (N,) which."""
+    points, place = keyframe.points, np.cumsum(mask) - 1
+    fewer = Points(
+        points.uv[mask], points.inv_depth[mask], points.var_inv_depth[mask],
+        np.ascontiguousarray(points.patch[:, mask]), np.ascontiguousarray(points.gradient[:, mask]), points.slope[mask],
+    )  # fmt: skip
+    return replace(
+        keyframe, points=fewer, measured=keyframe.measured[mask], measured_variance=keyframe.measured_variance[mask],
+        radius=keyframe.radius[mask], coarse=place[keyframe.coarse[mask[keyframe.coarse]]],
+        witnesses=place[keyframe.witnesses[mask[keyframe.witnesses]]],
+    )  # fmt: skip

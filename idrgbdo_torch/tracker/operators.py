@@ -24,6 +24,7 @@ from ..definitions.solver import pose_information
 from ..definitions.tracking import Estimate, Prior
 from . import batch
 
+NUMBERS = 14  # of camera and noise at the head of the others
 SIGMAS = 3  # scalars at the head of every list: of intensity, pixel and depth
 LATER = 5  # results of a search that its gradient starts from: pose, brightness, scale, centre and spread of the prior
 
@@ -52,16 +53,19 @@ def numbers_of(camera: Pinhole, noise: ResidualNoise) -> list[float]:
     """Camera and noise without its deviations."""
     size = [float(camera.width), float(camera.height), camera.fx, camera.fy, camera.cx, camera.cy]
     rest = [noise.shared, noise.c_h, noise.huber, noise.outlier, float(noise.use_depth), float(noise.mode == "paper")]
-    return [*size, *rest, noise.gradient_blend]
+    return [*size, *rest, noise.gradient_blend, float(noise.wide)]
 
 
 def camera_and_noise(tensors: Sequence[Tensor], numbers: Sequence[float]) -> tuple[Pinhole, ResidualNoise]:
     """The inverse of numbers_of and of the head of tensors_of."""
-    width, height, fx, fy, cx, cy, shared, c_h, huber, outlier, depth, paper, blend = numbers[:13]
+    width, height, fx, fy, cx, cy, shared, c_h, huber, outlier, depth, paper, blend, wide = numbers[:NUMBERS]
     camera = Pinhole(width=int(width), height=int(height), fx=fx, fy=fy, cx=cx, cy=cy)
     intensity, pixel, reading = tensors[:SIGMAS]
     mode: Any = "paper" if paper else "first_order"
-    return camera, ResidualNoise(intensity, pixel, reading, shared, c_h, huber, outlier, bool(depth), mode, blend)
+    noise = ResidualNoise(
+        intensity, pixel, reading, shared, c_h, huber, outlier, bool(depth), mode, blend, bool(wide)
+    )  # fmt: skip
+    return camera, noise
 
 
 def task_of(tensors: Sequence[Tensor], numbers: Sequence[float], steps: Sequence[int]) -> PairsTask:

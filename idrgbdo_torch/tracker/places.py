@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..frame import Frame, Keyframe
 from .features import HALF, Features, features
+from .keyframe import only
 
 Array = NDArray[np.float64]
 
@@ -52,26 +53,18 @@ class Places:
         alike = np.array([place.thumbnail @ thumbnail(frame) for place in self.kept])
         newest = len(self.kept) - 1
         turn = [(attempt * OTHERS + k) % len(self.kept) for k in range(OTHERS)]
-        order = [*np.argsort(-alike, kind="stable")[:RANKED].tolist(), newest, newest - RECENT + 1, *turn]
+        order = [*np.argsort(-alike, kind="stable")[:RANKED].tolist(), *range(newest, newest - RECENT, -1), *turn]
         return [self.kept[k] for k in dict.fromkeys(k for k in order if k >= 0)]
 
 
 def without_images(keyframe: Keyframe) -> Keyframe:
     """A keyframe reduced to its spread-out points, which have patches on all levels; its own images are let go."""
-    some = np.union1d(keyframe.coarse, keyframe.witnesses)
-    points = keyframe.points
-    reduced = points._replace(
-        uv=points.uv[some], inv_depth=points.inv_depth[some], var_inv_depth=points.var_inv_depth[some],
-        patch=np.ascontiguousarray(points.patch[:, some]), gradient=np.ascontiguousarray(points.gradient[:, some]),
-    )  # fmt: skip
+    spread_out = np.zeros(len(keyframe.points.uv), np.bool_)
+    spread_out[keyframe.coarse] = spread_out[keyframe.witnesses] = True
     frame, empty = keyframe.frame, np.zeros((1, 1), np.float32)
     frame = Frame(frame.timestamp, frame.camera, (empty,) * len(frame.images), empty)
-    everyone = np.arange(len(some))
-    return replace(
-        keyframe, frame=frame, points=reduced, measured=keyframe.measured[some],
-        measured_variance=keyframe.measured_variance[some], radius=keyframe.radius[some], coarse=everyone,
-        witnesses=everyone,
-    )  # fmt: skip
+    everyone = np.arange(np.count_nonzero(spread_out))
+    return replace(only(keyframe, spread_out), frame=frame, coarse=everyone, witnesses=everyone)
 
 
 def thumbnail(frame: Frame) -> Array:

@@ -35,7 +35,7 @@ IN_VIEW = 0.25  # share of a place's points that must be in view: it may be seen
 
 @dataclass(frozen=True)
 class Found:
-    """A lost frame's pose against a keyframe that is not the newest."""
+    """A lost frame's pose against a keyframe."""
 
     number: int  # of that keyframe
     tracked: Tracked
@@ -114,9 +114,9 @@ def from_perspective(number: int, pair: Pair, start: Perspective) -> Found | Non
 
 
 def sure(number: int, pair: Pair, tracked: Tracked, verdict: Verdict) -> Found | None:
-    """A pose found elsewhere than in the newest keyframe, if it is to be taken: a wrong one is worse than none."""
+    """A pose of a lost frame, if it is to be taken: a wrong one is worse than none."""
     if verdict.visible < IN_VIEW or verdict.doubt(LIMITS.sure) or verdict.hidden > LIMITS.in_front:
         return None  # what hides much of the place would become part of the keyframe that is made here
-    if obstructed(verdict, pair.keyframe.intruded):
-        return None
+    if obstructed(verdict, pair.keyframe.intruded) or verdict.depths < LIMITS.beside:
+        return None  # by brightness alone views of different places agree
     return Found(number, tracked, verdict)

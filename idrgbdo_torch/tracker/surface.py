@@ -31,6 +31,7 @@ HELD = np.array([1.0 / 0.5**2] * 3 + [1.0 / 0.3**2] * 3)  # information by which
 SHARE = 0.02  # of the information that counts: neighbouring planes err alike
 ONE_SURFACE = 0.9  # share of the planes in view that agree, from which on both views see the same surface
 SHAPED = 0.005  # share of the normals' squares in each direction; walls and floors have none without their noise
+NEAREST = 1e-3  # m in front of the camera that a point is
 MUCH = 0.4  # share of a keyframe's planes in view, from which on it is asked
 MEDIAN = 2.0 * np.log(2.0)  # of the squared length of two independent normal numbers
 
@@ -87,13 +88,33 @@ def lay(pair: Pair, guesses: Sequence[Array]) -> Laid | None:
         align_surface(pair.frame.depth, camera_of(pair.frame), there, np.ascontiguousarray(T), HELD, sigma, GATES)
         for T in guesses
     )
-    return max((Laid(T, SHARE * H, agree) for T, H, _, agree in found), key=lambda laid: laid.agree)
+    T, H, _, agree = max(found, key=lambda one: one[2] * one[3])  # of few planes in view all agree anywhere
+    return Laid(T, SHARE * H, agree)
 
 
 def lies_on_surface(pair: Pair, T_frame_kf: Array) -> bool:
-    """Whether depth alone is sure of a pose (4, 4): both show the same surface there, of a shape that tells it."""
-    shaped = surface(pair.keyframe.frame, sqrt(pair.noise.var_depth)).shaped
-    return shaped and on_surface(pair, T_frame_kf)[1] > ONE_SURFACE
+    """Whether depth alone is sure of a pose (4, 4): both show the same surface there, of a shape that tells it.
+
+    It is the shape of what both see: of a corner that the keyframe saw, the frame may see one wall.
+    """
+    there = surface(pair.keyframe.frame, sqrt(pair.noise.var_depth))
+    if not there.shaped or on_surface(pair, T_frame_kf)[1] <= ONE_SURFACE:
+        return False
+    common = there.planes[in_view(there.planes[:, :3], T_frame_kf, pair.frame)]
+    return len(common) >= FEWEST and least_facing(common[:, 3:]) > SHAPED
+
+
+def in_view(points: Array, T_frame_kf: Array, frame: Frame) -> NDArray[np.bool_]:
+    """(N,): the points (N, 3) in m of a keyframe in whose place a frame at a pose (4, 4) measures depth."""
+    height, width = frame.depth.shape
+    fx, fy, cx, cy = camera_of(frame)
+    x, y, z = T_frame_kf[:3, :3] @ points.T + T_frame_kf[:3, 3:]
+    out: NDArray[np.bool_] = z > NEAREST
+    z = np.where(out, z, 1.0)
+    u, v = np.floor(fx * x / z + cx + 0.5), np.floor(fy * y / z + cy + 0.5)
+    out &= (u >= 0) & (v >= 0) & (u < width) & (v < height)
+    out[out] = frame.depth[v[out].astype(np.int64), u[out].astype(np.int64)] > 0.0
+    return out
 
 
 def on_surface(pair: Pair, T_frame_kf: Array) -> tuple[float, float]:

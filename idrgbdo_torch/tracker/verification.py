@@ -56,6 +56,7 @@ class Verdict:
     near: float  # share of those with depth that agree in depth
     hidden: float = 0.0  # share of the seen ones with depth that something nearer hides
     points: int = 0  # so many are seen that nothing hides
+    depths: int = 0  # so many were compared in depth
     supported: bool = False  # features that had no part in the alignment agree with it
     on_surface: bool = False  # depth alone is sure of it, as both views show one surface: brightness may change
     lately: float = 1.0  # share of the frame's texture that looks as in the last frames, where that is asked
@@ -78,6 +79,8 @@ class Verdict:
 
     def doubt(self, strict: float) -> str:
         """Why the pose is not to be believed, empty when it is; strict grows the limits towards 1."""
+        if self.visible == 0.0 < self.points:  # nothing was asked
+            return f"only {self.points} points could be used"
         if self.visible < LIMITS.in_view:
             return f"only {self.visible:.0%} of the keyframe is in view"
         supported = self.on_surface or (self.supported and strict <= LIMITS.lost)
@@ -123,7 +126,9 @@ def unusable(verdict: Verdict, intruded: bool, strict: float) -> str:
 
 def verify(pair: Pair, tracked: Tracked, level: int = LIMITS.level) -> Verdict:
     """Hold a pose against all the spread-out points of the keyframe, their brightness on a level of the pyramid."""
-    if not (np.isfinite(tracked.T_frame_kf).all() and tracked.points >= LIMITS.points):
+    if tracked.points < LIMITS.points:
+        return Verdict(0.0, 0.0, 0.0, points=tracked.points)
+    if not np.isfinite(tracked.T_frame_kf).all():
         return Verdict(0.0, 0.0, 0.0)
     witnesses, state = pair.keyframe.witnesses, State(tracked.T_frame_kf, tracked.affine)
     found = pair.backend.verify(pair.frame.view, level, pair.keyframe.points, witnesses, state, pair.noise, LIMITS.gray)
@@ -145,7 +150,8 @@ def judged(found: Agreement, witnesses: int) -> Verdict:
     near = 1.0 if few else found.near / max(found.with_depth, 1)
     hidden = found.hidden / max(found.with_depth, 1)
     seen = found.seen - found.hidden
-    return Verdict(found.seen / max(witnesses, 1), found.bright / max(found.seen, 1), near, hidden, seen)
+    bright = found.bright / max(found.seen, 1)
+    return Verdict(found.seen / max(witnesses, 1), bright, near, hidden, seen, found.with_depth)
 
 
 def unhidden(found: Agreement) -> Agreement:

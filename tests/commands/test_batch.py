@@ -20,7 +20,8 @@ from idrgbdo_torch.commands.track import Job
 from idrgbdo_torch.config import Config
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.experiments.sweep import Progress, Workers, sweep
-from idrgbdo_torch.odometry import run
+from idrgbdo_torch.frame import RgbdFrame
+from idrgbdo_torch.odometry import TrackResult, run
 from idrgbdo_torch.report import Glimpse
 from idrgbdo_torch.runs import checkpoint
 from idrgbdo_torch.runs.checkpoint import Checkpoints, State
@@ -105,6 +106,34 @@ def test_a_process_that_was_killed_is_followed_by_one_that_goes_on(episodes: Pat
     assert (result["resumed_after"], result["frames"]) == (9, FILM.frames)
     torch.testing.assert_close(poses(folder), poses(whole), rtol=0, atol=1e-9)
     assert not (folder / checkpoint.NAME).exists()
+
+
+def test_a_process_that_is_killed_halfway_goes_on(
+    episodes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = track_episode(Episode(episodes / "ep0", tmp_path / "whole", Input(), Config(), "none"))
+    monkeypatch.setattr(checkpoint, "LEAST_S", 0.0)
+    monkeypatch.setattr(checkpoint, "SHARE", 0.0)
+    track, left = IdRgbdo.track, iter(range(9))
+
+    def dies(self: IdRgbdo, frame: RgbdFrame) -> TrackResult:
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+        return track(self, frame)
+
+    episode = Episode(episodes / "ep0", tmp_path / "killed", Input(), Config(), "none")
+    with monkeypatch.context() as killed:
+        killed.setattr(IdRgbdo, "track", dies)
+        with pytest.raises(KeyboardInterrupt):
+            track_episode(episode)
+    again = track_episode(episode)
+    assert 0 < again["resumed_after"] <= 9 and again["frames"] == whole["frames"] == FILM.frames
+    torch.testing.assert_close(poses(episode.folder), poses(tmp_path / "whole"), rtol=0, atol=1e-9)
+
+
+def test_figures_are_drawn_for_several_recordings_too(episodes: Path, tmp_path: Path) -> None:
+    track_episode(Episode(episodes / "ep0", tmp_path / "drawn", Input(), Config(), "none", figures=True))
+    assert list((tmp_path / "drawn" / "figures").glob("*.png"))
 
 
 def test_a_dask_worker_that_is_killed_loses_nothing(episodes: Path, tmp_path: Path) -> None:

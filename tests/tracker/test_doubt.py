@@ -111,3 +111,15 @@ def test_keyframes_in_doubt_take_their_share_of_what_was_off() -> None:
     history.settle(4.0, np.eye(4), shift)
     assert [round(float(pose[0, 3]), 6) for pose in history.keyframe_poses] == [0.0, 0.0, 0.1, 0.2]
     assert history.known(3) and not history.doubt_reason
+
+
+@pytest.mark.parametrize("times", [(7.0, 7.0, 7.0, 7.0, 7.0), (10.0, 10.1, 10.2, 10.3, 2.0), (5.0, 6.0, 0.0, 7.0, 6.5)])
+def test_keyframes_move_no_further_than_they_were_off_whatever_the_clock_does(times: tuple[float, ...]) -> None:
+    history, shift = History(), np.eye(4)
+    shift[0, 3] = 0.3
+    for n in range(4):
+        history.add_keyframe(times[n], np.eye(4), None, NOTHING)
+        if n == 1:
+            history.doubted = 2
+    history.settle(times[4], np.eye(4), shift)
+    assert all(0.0 <= pose[0, 3] <= 0.3 + 1e-9 for pose in history.keyframe_poses)

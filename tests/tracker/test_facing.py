@@ -67,14 +67,14 @@ def test_what_is_found_again_beside_a_thing_is_held_against_the_last_frames(desk
         tracker.track(what.before(desk.frames[n], 220, -30) if n > 8 else desk.frames[n])
     assert tracker.motion.contested and tracker.reference is not None and tracker.last is not None
     frame, number = prepare(what.before(desk.frames[24], 220, -30)), len(tracker.history.keyframe_poses) - 1
-    sure, tracked = Verdict(0.9, 0.8, 0.85, points=100), tracker.last[1]
+    sure, tracked = Verdict(0.9, 0.8, 0.85, points=100, depths=100), tracker.last[1]
     right = desk.T(24, 0).numpy() @ np.linalg.inv(tracker.history.keyframe_poses[number])
     found = Found(number, replace(tracked, T_frame_kf=right), sure)
     confirmed = tracker._found(frame, found)
     assert confirmed is not None and LIMITS.weak + LIMITS.lately_above < confirmed.verdict.lately < 1.0
     away = retract(np.array([0.06, 0.0, 0.0, 0.0, 0.0, 0.0]), right)
     assert tracker._found(frame, Found(number, replace(tracked, T_frame_kf=away), sure)) is None
-    whole = Found(number, replace(tracked, T_frame_kf=away), Verdict(0.9, 0.95, 0.95, points=200))
+    whole = Found(number, replace(tracked, T_frame_kf=away), Verdict(0.9, 0.95, 0.95, points=200, depths=200))
     assert tracker._found(frame, whole) is whole  # the same view: nobody else is asked
 
 

@@ -252,6 +252,20 @@ def test_every_option_works(desk: Film, name: str) -> None:
     assert max(points) > 60 if name == "wanted entropy" else max(points) <= config.selection.points
 
 
+@pytest.mark.parametrize("name", ["no window", "small window", "rand", "once a keyframe"])
+def test_every_option_bears_depth_with_outliers(desk: Film, name: str) -> None:
+    """Patches that stand behind their surface by a third of its distance: all that asks what is in front is asked."""
+    odometry, rng = IdRgbdo(VARIANTS[name][0]), np.random.default_rng(0)
+    for frame in desk.frames[:20]:
+        depth = frame.depth.numpy().copy()
+        for _ in range(depth.size // 1000):  # a tenth of the image
+            v, u = rng.integers(0, depth.shape[0] - 10), rng.integers(0, depth.shape[1] - 10)
+            depth[v : v + 10, u : u + 10] *= 1.3
+        result = odometry.track(replace(frame, depth=torch.from_numpy(depth)))
+        assert result.T_world_cam.isfinite().all()
+    assert len(odometry.trajectory().timestamps) == 20
+
+
 @pytest.mark.parametrize(("name", "limit"), [("paper", 0.01), ("fast", 0.004), ("accurate", 0.001)])
 def test_shipped_configurations_run(desk: Film, name: str, limit: float) -> None:
     odometry = IdRgbdo(load(ROOT / "configs" / f"{name}.toml", Config()))

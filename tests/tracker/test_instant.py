@@ -96,6 +96,18 @@ def test_a_camera_file_that_names_it_brings_the_pose_back(faultless: RenderedSeq
     assert error(True) < 0.6 * error(False)
 
 
+def test_images_may_be_given_in_the_same_buffers(faultless: RenderedSequence) -> None:
+    """The first one waits for its velocity, and by then the second is in its place."""
+    frames = [with_faults(faultless, READOUT).read(index) for index in range(4)]
+    own, reused = IdRgbdo(compile_ahead=False), IdRgbdo(compile_ahead=False)
+    gray, depth = torch.empty_like(frames[0].gray), torch.empty_like(frames[0].depth)
+    for frame in frames:
+        gray.copy_(frame.gray)
+        depth.copy_(frame.depth)
+        again = reused.track(replace(frame, gray=gray, depth=depth))
+        assert torch.equal(own.track(frame).T_world_cam, again.T_world_cam)
+
+
 def test_a_run_can_be_kept_while_the_first_frame_waits_for_its_velocity(faultless: RenderedSequence) -> None:
     frames = tuple(with_faults(faultless, READOUT).read(index) for index in range(3))
     odometry = IdRgbdo(compile_ahead=False)

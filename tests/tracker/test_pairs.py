@@ -24,6 +24,7 @@ from idrgbdo_torch import (
     tracking_pyramid,
 )
 from idrgbdo_torch.definitions import linearise, pairs, points
+from idrgbdo_torch.definitions.photometric import WIDE_PATTERN
 from idrgbdo_torch.definitions.se3 import inverse, log, retract
 from idrgbdo_torch.definitions.tracking import prior_at
 from idrgbdo_torch.tracker import operators
@@ -93,6 +94,18 @@ def test_a_batch_is_the_definition_s(some: Pairs) -> None:
         information, expected = (unit[:, :, None] * x.information * unit[:, None] for x in (mine, theirs))
         torch.testing.assert_close(information, expected, rtol=0, atol=1e-6)
         torch.testing.assert_close(mine.rms, theirs.rms, rtol=0, atol=1e-6)
+
+
+def test_wide_patches_are_wide_in_either_way(some: Pairs) -> None:
+    wide = replace(residual_noise(), wide=True)
+    patch, gradient = points.sample_patterns([some.host], some.uv, WIDE_PATTERN)
+    slope = torch.full((*some.uv.shape[:2], 2), 1e-4, dtype=torch.float64)
+    host = replace(some.points, patch=tuple(patch), gradient=tuple(gradient), slope=slope)
+    start = {"depth": some.depth, "T_guess": some.T, "steps": (8,), "gradient_steps": 40, "noise": wide}
+    mine, theirs = (f(host, some.gray, some.camera, **start) for f in (align_pairs, pairs.align_pairs))
+    assert off(mine, theirs.T_target_host).abs().max() < 1e-8
+    narrow = align_pairs(host, some.gray, some.camera, **{**start, "noise": residual_noise()})
+    assert off(narrow, mine.T_target_host).abs().max() > 1e-5
 
 
 def test_a_pose_is_the_same_alone_and_on_any_number_of_threads(some: Pairs) -> None:

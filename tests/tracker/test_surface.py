@@ -11,6 +11,7 @@ from rendered import SMALL, Film, film, rotation_deg
 
 from idrgbdo_torch.config import Config
 from idrgbdo_torch.definitions import se3
+from idrgbdo_torch.definitions.camera import Pinhole
 from idrgbdo_torch.frame import Frame, Keyframe, RgbdFrame, prepare
 from idrgbdo_torch.kernels.se3 import retract
 from idrgbdo_torch.kernels.surface import LAST, ROUGH, align_surface, surface_equations, surface_planes
@@ -155,6 +156,36 @@ def test_depth_is_sure_of_nothing_before_a_wall() -> None:
     pair, truth = paired(prepare(wall.frames[1]), of(wall.frames[0])), wall.T(1, 0).numpy()
     assert len(surface(pair.keyframe.frame, SIGMA).planes) > 1000
     assert not lies_on_surface(pair, truth)
+
+
+def test_depth_is_sure_of_nothing_where_the_views_share_one_wall() -> None:
+    """A keyframe sees a corner, a frame one of its walls: along that it may lie anywhere."""
+    camera = Pinhole(width=160, height=120, fx=CAMERA[0], fy=CAMERA[1], cx=CAMERA[2], cy=CAMERA[3])
+    left, right = plane(np.array([-0.4, 0.05, 0.5])), plane(np.array([0.4, 0.05, 0.5]))
+    corner = np.minimum.reduce([left, right, plane(np.array([0.0, -0.5, 0.45]))])
+    gray = np.random.default_rng(0).uniform(0, 255, corner.shape)
+    frames = [
+        RgbdFrame(float(n), torch.from_numpy(gray).float(), torch.from_numpy(np.ascontiguousarray(z)), camera)
+        for n, z in enumerate((corner, corner, np.where(corner == right, right, 0.0).astype(np.float32)))
+    ]
+    keyframe = of(frames[0])
+    assert surface(keyframe.frame, SIGMA).shaped
+    assert lies_on_surface(paired(prepare(frames[1]), keyframe), np.eye(4))
+    assert not lies_on_surface(paired(prepare(frames[2]), keyframe), np.eye(4))
+
+
+def test_of_two_guesses_the_one_that_more_planes_agree_with_is_taken() -> None:
+    """Aside along a wall few planes are in view, and all of them agree; at the truth some are hidden."""
+    camera = Pinhole(width=160, height=120, fx=CAMERA[0], fy=CAMERA[1], cx=CAMERA[2], cy=CAMERA[3])
+    wall = plane(np.array([0.0, 0.0, 0.5]))
+    seen = wall.copy()
+    seen[40:70, 40:70] = 1.0  # something in front
+    gray = torch.from_numpy(np.random.default_rng(0).uniform(0, 255, wall.shape)).float()
+    keyframe = of(RgbdFrame(0.0, gray, torch.from_numpy(wall), camera))
+    aside = np.eye(4)
+    aside[0, 3] = 1.2
+    laid = lay(paired(prepare(RgbdFrame(1.0, gray, torch.from_numpy(seen), camera)), keyframe), [aside, np.eye(4)])
+    assert laid is not None and np.linalg.norm(laid.T_frame_kf[:3, 3]) < 0.1
 
 
 def test_something_in_front_lies_on_no_surface_of_the_window(desk: Film) -> None:

@@ -47,7 +47,8 @@ def test_a_pose_that_sees_nothing_is_doubted(cases: list[Case]) -> None:
     away = se3.exp(torch.tensor([0, 0, 0, 0, 1.5, 0], dtype=torch.float64)).numpy()
     seeing_little = verify(case.pair(), moved(tracked, lambda T: away @ T))
     assert "is in view" in seeing_little.doubt(LIMITS.weak)
-    assert verify(case.pair(), replace(tracked, points=3)).score == 0
+    few = verify(case.pair(), replace(tracked, points=3))
+    assert few.score == 0 and few.doubt(LIMITS.weak) == "only 3 points could be used"
     assert verify(case.pair(), moved(tracked, lambda T: T * np.nan)).doubt(0.1)
 
 
