@@ -48,8 +48,7 @@ def held_against(
         return tracked, verdict
     if sharpness(Pair(frame, members.keyframes[-1], noise, backend), tracked.T_frame_kf) < BLURRED:
         return tracked, verdict  # it looks otherwise to any of them
-    lost = verdict.doubt(LIMITS.lost)
-    if lost and smooth and strangers(frame, members.keyframes[-1].frame):
+    if verdict.doubt(LIMITS.lost) and smooth and strangers(frame, members.keyframes[-1].frame):
         return tracked, verdict  # it is sought by what it has in common with others
     for pair, state, T_newest_kf in others(frame, members, noise, backend, tracked):
         said = verify(pair, replace(tracked, T_frame_kf=state.T, affine=state.affine))
@@ -57,8 +56,8 @@ def held_against(
             continue
         if not said.doubt(LIMITS.sure):
             return tracked, said if said.score > verdict.score else verdict
-        if lost and verify(pair, track_roughly(pair, state)).doubt(LIMITS.weak):
-            continue
+        if verify(pair, track_roughly(pair, state)).doubt(LIMITS.weak):
+            continue  # most of them: what would end in doubt need not be done with care
         subset = Subset(pair.keyframe.coarse, pair.keyframe.points.patch.shape[2])
         again = track_frame(pair, state, pair.keyframe.coarse, subset, FREE, LEVELS)
         better = verify(pair, again)
