@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import IdRgbdoError
-from .names import Names, Times, counts, numbers_in, read_names, repeated, set_back, ticks_in, times_in
+from .name_times import Times, set_back, ticks_in, times_in
+from .names import Names, numbers_in, read_names, repeated
 from .pairing import FPS, MOST_ALONE, alone_warning, pair_by_time, share_alone
 
 LIST = "or list the pairs, lines `time colour time depth`, and pass the list with --associations"
@@ -15,6 +16,7 @@ LIST = "or list the pairs, lines `time colour time depth`, and pass the list wit
 LARGEST_NUMBER = 10**8  # of a frame: a month of them; what is larger counts something else, and only its order is used
 
 Frame = tuple[float, Path, Path]  # s, colour, depth
+Numbers = tuple[list[list[int]], list[list[int]]]  # that may stand for the frame, in colour's names and in depth's
 
 
 @dataclass(frozen=True)
@@ -39,11 +41,13 @@ def pair_by_names(
     names = read_names(color), read_names(depth)
     strays = _stray_warning(names)
     tried: list[str] = []
-    times = _times(names[0], tried), _times(names[1], tried)
+    read = times_in(names[0]), times_in(names[1])
+    times = _going_on(names[0], read[0], tried), _going_on(names[1], read[1], tried)
+    numbers = numbers_in(names[0], _columns(read[0])), numbers_in(names[1], _columns(read[1]))
     clock = tuple(f"{reason}; the frames are taken by their numbers" for reason in tried)
     paired = (
         _by_time(names, times, where, limit_s, tried)
-        or _by_number(names, times[0], fps or FPS, tried)
+        or _by_number(names, numbers, times[0], fps or FPS, tried)
         or _by_time(names, (ticks_in(names[0]), ticks_in(names[1])), where, limit_s, tried)
         or (_in_order(color, depth, names, fps or FPS) if all(t is None for t in times) else None)
     )
@@ -56,9 +60,12 @@ def pair_by_names(
     return replace(paired, warnings=(*strays, *clock, *paired.warnings))
 
 
-def _times(names: Names, tried: list[str]) -> Times | None:
+def _columns(times: Times | None) -> tuple[int, ...]:
+    return times.columns if times else ()
+
+
+def _going_on(names: Names, times: Times | None, tried: list[str]) -> Times | None:
     """The times in the names, where they go on as the numbers do."""
-    times = times_in(names)
     back = set_back(names, times) if times else None
     if back is None:
         return times
@@ -110,15 +117,18 @@ def _reason(error: IdRgbdoError) -> str:
     return str(error).split("each other, ")[-1].split(";")[0]
 
 
-def _by_number(names: tuple[Names, Names], times: Times | None, fps: float, tried: list[str]) -> Paired | None:
+def _by_number(
+    names: tuple[Names, Names], numbers: Numbers, times: Times | None, fps: float, tried: list[str]
+) -> Paired | None:
     """The same number, at the places in the names where most have a partner; their times by the colour's names."""
-    choices = [(a, b) for a in numbers_in(names[0]) for b in numbers_in(names[1])]
+    choices = [(a, b) for a in numbers[0] for b in numbers[1]]
     unique = [(a, b) for a, b in choices if repeated(a) is None and repeated(b) is None]
-    if choices and not unique:
-        _raise_repeated(names)
+    if choices and not unique and not times:
+        _raise_repeated(names, numbers)
     if not unique:
+        tried.append("their numbers: none beside the times that is another one in each name")
         return None
-    a, b = max(unique, key=lambda choice: (len(set(choice[0]) & set(choice[1])), counts(choice[0])))
+    a, b = max(unique, key=lambda choice: len(set(choice[0]) & set(choice[1])))  # the likeliest of those with most
     color, depth = (dict(sorted(zip(n, of_one.files, strict=True))) for n, of_one in zip((a, b), names, strict=True))
     common = [number for number in color if number in depth]
     if not common or share_alone(list(color), list(depth), len(common)) > MOST_ALONE:
@@ -141,11 +151,11 @@ def _by_number(names: tuple[Names, Names], times: Times | None, fps: float, trie
     )
 
 
-def _raise_repeated(names: tuple[Names, Names]) -> None:
+def _raise_repeated(names: tuple[Names, Names], numbers: Numbers) -> None:
     """Raises IdRgbdoError with two names of a folder that have the same number."""
-    for of_one in names:
-        for numbers in numbers_in(of_one):
-            twice = repeated(numbers)
+    for of_one, choices in zip(names, numbers, strict=True):
+        for choice in choices:
+            twice = repeated(choice)
             if twice is not None:
                 first, second = (of_one.files[place] for place in twice)
                 raise IdRgbdoError(

@@ -1,0 +1,80 @@
+"""Times in names at rates whose milliseconds are all different: a part of a second is never taken for a counter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from idrgbdo_torch.datasets.by_name import Paired, pair_by_names
+from idrgbdo_torch.errors import IdRgbdoError
+
+START_S = 1_704_110_400  # 2024-01-01 12:00:00
+Name = Callable[[int, float], str]  # of the frame of a number and a time in seconds
+
+
+def pair(color: list[str], depth: list[str], **options: float) -> Paired:
+    """The names' files need not exist: only their names are read."""
+    folders = [Path("take") / kind for kind in ("rgb", "depth")]
+    files = [sorted(folder / name for name in names) for folder, names in zip(folders, (color, depth), strict=True)]
+    return pair_by_names(*files, where=Path("take"), **options)
+
+
+def written(name: Name, fps: float, frames: int = 60) -> list[str]:
+    return [name(k, k / fps) for k in range(frames)]
+
+
+def shown(paired: Paired) -> list[str]:
+    return [color.name for _, color, _ in paired.frames]
+
+
+def two_parts(seconds: float, start: int = 0) -> str:
+    ms = round(1000 * seconds)
+    return f"{start + ms // 1000}_{ms % 1000:03}"
+
+
+BROADCAST: dict[str, tuple[Name, float]] = {  # how the names are written, and the time of the first
+    "SECS.mmm": (lambda k, s: f"{START_S + s:.3f}.png", START_S),
+    "SECS_mmm": (lambda k, s: f"{two_parts(s, START_S)}.png", START_S),
+    "date and ms": (lambda k, s: f"20240101_1200{s:06.3f}".replace(".", "_") + ".png", START_S),
+    "counter and date": (lambda k, s: f"{k}_2024-01-01T12-00-{s:06.3f}.png", START_S),
+    "counter and seconds": (lambda k, s: f"frame{k:05}_{s:.3f}.png", 0),
+    "counter that is not padded": (lambda k, s: f"frame{k}_{s:.3f}s.png", 0),
+    "counter behind": (lambda k, s: f"{s:.3f}_frame{k}.png", 0),
+    "every tenth": (lambda k, s: f"frame{10 * k:05}_{two_parts(s)}.png", 0),
+    "prefix": (lambda k, s: f"rgb_{s:.3f}.png", 0),
+    "two clocks": (lambda k, s: f"{two_parts(s, START_S)}_{two_parts(s + 0.2, START_S)}.png", START_S),
+}
+
+
+@pytest.mark.parametrize("fps", [29.97, 23.976, 14.985])
+@pytest.mark.parametrize("kind", BROADCAST)
+def test_milliseconds_that_are_all_different_count_no_frames(kind: str, fps: float) -> None:
+    name, first = BROADCAST[kind]
+    names = written(name, fps)
+    paired = pair(names, names)
+    assert shown(paired) == names
+    assert [time for time, _, _ in paired.frames] == pytest.approx([first + k / fps for k in range(60)], abs=1.01e-3)
+    assert (paired.how.split(" (")[0], paired.warnings) == ("paired by the times in their names", ())
+
+
+def test_a_part_of_a_second_pairs_nothing_where_the_clocks_differ() -> None:
+    """Steps of 33 ms: the same milliseconds come back in other seconds, and would pair those."""
+    color = written(lambda k, s: f"{two_parts(s, START_S)}.png", 1000 / 33, 900)
+    depth = written(lambda k, s: f"{two_parts(s + 330 * 0.033, START_S + 100)}.png", 1000 / 33, 900)
+    with pytest.raises(IdRgbdoError, match=r"tried the times in their names .* their numbers: none beside the times"):
+        pair(color, depth)
+
+
+def test_the_counter_is_the_number_where_the_clock_was_set_back() -> None:
+    names = written(lambda k, s: f"frame{k}_{two_parts(s - (3600 if k > 40 else 0), START_S)}.png", 29.97)
+    paired = pair(names, names)
+    assert (shown(paired), paired.numbers) == (names, list(range(60)))
+    assert f"the times in the names run backwards at 'rgb/{names[41]}'" in paired.warnings[0]
+
+
+def test_two_decimals_behind_a_counter_are_not_the_number() -> None:
+    names = written(lambda k, s: f"frame{k}_{s:.2f}.png", 29.97, 25)
+    paired = pair(names, names)
+    assert (shown(paired), paired.numbers) == (names, list(range(25)))
