@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import IdRgbdoError
-from .name_times import Times, set_back, ticks_in, times_in
+from .name_times import Times, long_gap, set_back, tick_gap, ticks_in, times_in
 from .names import Names, numbers_in, read_names, repeated
 from .pairing import FPS, MOST_ALONE, alone_warning, pair_by_time, share_alone
 
 LIST = "or list the pairs, lines `time colour time depth`, and pass the list with --associations"
+IN_SECONDS = f"if they are milliseconds, name the images by seconds, {LIST}"
 
 LARGEST_NUMBER = 10**8  # of a frame: a month of them; what is larger counts something else, and only its order is used
 
@@ -57,7 +58,7 @@ def pair_by_names(
             f"'{color[0].name}' and '{depth[0].name}'; tried {'; '.join(tried)}. Give the two images of a frame the "
             f"same number or time as their names, e.g. 000000.png, {LIST}"
         )
-    return replace(paired, warnings=(*strays, *clock, *paired.warnings))
+    return replace(paired, warnings=(*strays, *clock, *_seconds_warning(times[0]), *paired.warnings))
 
 
 def _columns(times: Times | None) -> tuple[int, ...]:
@@ -80,6 +81,21 @@ def _stray_warning(names: tuple[Names, Names]) -> tuple[str, ...]:
     shown = ", ".join(f"{path.parent.name}/{path.name}" for path in strays[:3])
     more = f" and {len(strays) - 3} more" if len(strays) > 3 else ""
     return (f"left out, since named unlike the other images: {shown}{more}",)
+
+
+def _seconds_warning(times: Times | None) -> tuple[str, ...]:
+    gap = long_gap(times) if times else None
+    return () if gap is None else (f"the times in the names are {gap:g} apart and are taken as seconds; {IN_SECONDS}",)
+
+
+def _ticks_warning(numbers: Sequence[int], fps: float) -> tuple[str, ...]:
+    gap = tick_gap(numbers)
+    if gap is None:
+        return ()
+    return (
+        f"the numbers in the names are about {gap:g} apart and are taken as the numbers of frames, {fps:g} a second; "
+        f"{IN_SECONDS}",
+    )
 
 
 def _by_time(
@@ -141,13 +157,14 @@ def _by_number(
     places = common if max(common) < LARGEST_NUMBER else range(len(common))
     frames = sorted((seconds.get(color[n], place / fps), n) for n, place in zip(common, places, strict=True))
     alone = [path for of_one in (color, depth) for n, path in of_one.items() if not (n in color and n in depth)]
+    counted = places is common and not times
     clock = f"times of the colour images' names ({times.kind})" if times else f"{fps:g} frames per second"
     return Paired(
         [(time, color[n], depth[n]) for time, n in frames],
         [n for _, n in frames],
         sorted({*color, *depth}),
         f"paired by number, {clock}",
-        alone_warning(alone, "of the same number"),
+        (*(_ticks_warning(common, fps) if counted else ()), *alone_warning(alone, "of the same number")),
     )
 
 

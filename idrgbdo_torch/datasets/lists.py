@@ -10,7 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from ..errors import IdRgbdoError
-from ..text.clock import in_seconds, unit_of
+from ..text.clock import LEAST_TICKS, in_seconds, unit_of
 from ..text.files import read_text
 from ..text.plain import shown
 from ..text.tum import LATEST
@@ -86,7 +86,7 @@ class ImageList:
         if len(gaps) < 2 or self.unit != "seconds" or any(time % 1 for time in times):
             return ()
         gap = gaps[len(gaps) // 2]
-        if not (gap == 1 and times[0] < 1e6) and not 8 <= gap < 1000:
+        if not (gap == 1 and times[0] < 1e6) and not LEAST_TICKS <= gap < 1000:
             return ()
         guess = "numbers of frames" if gap == 1 else "milliseconds"
         return (

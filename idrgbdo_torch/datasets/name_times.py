@@ -12,8 +12,8 @@ from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 
-from ..text.clock import NO_SECONDS, UNITS, in_seconds, unit_of
-from .names import Names, counts, gaps, is_epoch, is_fraction, varying
+from ..text.clock import LEAST_TICKS, NO_SECONDS, UNITS, in_seconds, unit_of
+from .names import EPOCH_S, Names, counts, gaps, is_epoch, is_fraction, varying
 
 SHORTEST_GAP_S = 2e-3  # no depth camera is faster; what counts faster is a counter
 FLOAT_DECIMALS = 7  # that a float of seconds since 1970 has
@@ -21,6 +21,8 @@ MUCH_EVENER = 2.0  # times: what an unlikely reading of digits must gain
 SLOWEST_GAP_S = 3600.0  # of a time lapse
 CAMERA_GAPS_S = (2e-3, 1.999)  # of a camera that films; narrow enough for one unit alone to fit
 MOST_STEPS_BACK = 0.1  # of a clock that was set; against what goes back more often, it is the other that counts nothing
+FARTHEST_PICKED = 8000  # frames apart; numbers that are farther apart are ticks of a clock
+NEAR_USUAL = 0.1  # of the usual gap, by which at least half of a clock's gaps differ at most
 FRACTIONS = {3: "milliseconds", 6: "microseconds", 9: "nanoseconds"}  # by the digits of a part of a second
 DATE = re.compile(
     r"(?<!\d)(?P<day>\d{4}[-_.:]?\d\d[-_.:]?\d\d)[-_.T ]{0,3}"
@@ -42,7 +44,7 @@ def times_in(names: Names) -> Times | None:
     """The times that the names surely are: of a date, since 1970, seconds with a fraction, a counter beside a clock."""
     if not names.files:
         return None
-    for reading in (_dates, _ticks, _seconds_and_fraction, _decimals, _whole_seconds, _beside_a_counter):
+    for reading in READINGS:
         for times in reading(names):
             if _possible(times.seconds):
                 return times
@@ -69,6 +71,25 @@ def set_back(names: Names, times: Times) -> Path | None:
         if 0 < len(back) <= max(1, MOST_STEPS_BACK * len(ordered)):
             return back[0]
     return None
+
+
+def tick_gap(numbers: Sequence[int]) -> float | None:
+    """The usual gap of numbers that may be ticks of a clock: 8 or more, about alike, of no common stride."""
+    steps = gaps(numbers)
+    stride = math.gcd(*map(int, steps))
+    if len(steps) < 2 or min(steps) <= 0:
+        return None
+    usual = statistics.median(steps)
+    alike = sum(abs(step - usual) <= NEAR_USUAL * usual for step in steps)
+    return usual if usual >= LEAST_TICKS * stride and 2 * alike >= len(steps) else None
+
+
+def long_gap(times: Times) -> float | None:
+    """The usual gap of seconds that count from some start, where it is so long that they may be milliseconds."""
+    if times.kind != "seconds" or len(times.seconds) < 3 or max(times.seconds) >= EPOCH_S[0]:
+        return None
+    usual = statistics.median(gaps(times.seconds))
+    return usual if usual >= LEAST_TICKS else None
 
 
 def _possible(seconds: Sequence[float]) -> bool:
@@ -191,16 +212,52 @@ def _starts_again(whole: Sequence[str], parts: Sequence[str]) -> bool:
 def _decimals(names: Names) -> Iterator[Times]:
     """Nothing but a decimal number of seconds."""
     if names.between == ("", ".", ""):
-        whole, part = names.columns
-        yield Times([float(f"{a}.{b}") for a, b in zip(whole, part, strict=True)], "seconds", (0, 1))
+        yield _with_decimals(names, 1)
+
+
+def _decimals_behind_words(names: Names) -> Iterator[Times]:
+    """A decimal number of seconds among words, with three decimals or more."""
+    for place in range(1, len(names.columns)):
+        if _are_decimals(names, place):
+            yield _with_decimals(names, place)
+
+
+def _with_decimals(names: Names, place: int) -> Times:
+    whole, part = names.columns[place - 1], names.columns[place]
+    return Times([float(f"{a}.{b}") for a, b in zip(whole, part, strict=True)], "seconds", (place - 1, place))
+
+
+def _are_decimals(names: Names, place: int) -> bool:
+    """Whether digits behind a point are decimals, not a number of their own as in `cam0.001` and `v1.2.001`."""
+    before, part = names.columns[place - 1], names.columns[place]
+    if names.between[place] != ".":
+        return False
+    apart = names.between[place - 1][-1:].isalpha() or "." in (names.between[place - 1][-1:], names.between[place + 1])
+    digits = {len(field) for field in part}
+    if apart or len(digits) > 1 or min(digits) < 3:
+        return False
+    if len(set(before)) == 1:  # the first second, or a number of a take
+        return tick_gap([int(field) for field in part]) is not None
+    return not counts([int(field) for field in before])
 
 
 def _beside_a_counter(names: Names) -> Iterator[Times]:
     """`NUMBER-MICROSECONDS`: one place counts the frames by one, another goes on at the pace of a camera's clock."""
     places = varying(names)
+    counters = [k for k in places if not is_fraction(names, k) and counts([int(field) for field in names.columns[k]])]
     for place in places:
-        counted = any(counts([int(field) for field in names.columns[k]]) for k in places if k != place)
+        counted = any(k != place for k in counters)
         clock = _clock(names, place, uneven=False) if counted else None
+        if clock is not None:
+            yield clock
+
+
+def _from_a_start(names: Names) -> Iterator[Times]:
+    """Micro- or nanoseconds from some start: numbers too far apart for frames."""
+    places = [place for place in varying(names) if not is_fraction(names, place)]
+    values = [int(field) for field in names.columns[places[0]]] if len(places) == 1 else []
+    if len(values) > 2 and min(values) < NO_SECONDS and statistics.median(gaps(values)) >= FARTHEST_PICKED:
+        clock = _clock(names, places[0], uneven=False)
         if clock is not None:
             yield clock
 
@@ -212,9 +269,21 @@ def _clock(names: Names, place: int, uneven: bool = True) -> Times | None:
     if not steps or min(steps) <= 0 or (uneven and min(steps) == max(steps)):
         return None
     gap = statistics.median(steps)
-    if gap < 8:  # ms, more than a hundred frames a second: a counter with a stride
+    if gap < LEAST_TICKS:  # a counter with a stride
         return None
     for unit, ticks in UNITS.items():
         if CAMERA_GAPS_S[0] <= gap / ticks <= CAMERA_GAPS_S[1]:
             return Times([value / ticks for value in values], unit, (place,))
     return None
+
+
+READINGS = (  # the surest first
+    _dates,
+    _ticks,
+    _seconds_and_fraction,
+    _decimals,
+    _whole_seconds,
+    _beside_a_counter,
+    _decimals_behind_words,
+    _from_a_start,
+)

@@ -11,6 +11,7 @@ NO_SECONDS = 1e11  # no clock that counts seconds has got so far
 NO_STEP_S = 1e4  # nor do two poses or images lie so far apart
 SINCE_1970_S = (6.3e8, 4.1e9)  # the years 1990 to 2099
 USUAL_STEP_S = 0.05  # between images
+LEAST_TICKS = 8  # ms between images; numbers that grow by less count something else
 
 
 def unit_of(stamps: Sequence[float]) -> str | None:

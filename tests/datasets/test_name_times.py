@@ -1,4 +1,4 @@
-"""Times in names at rates whose milliseconds are all different: a part of a second is never taken for a counter."""
+"""Times and numbers in names that look like each other: milliseconds all different, ticks from 0 on, picked frames."""
 
 from __future__ import annotations
 
@@ -78,3 +78,70 @@ def test_two_decimals_behind_a_counter_are_not_the_number() -> None:
     names = written(lambda k, s: f"frame{k}_{s:.2f}.png", 29.97, 25)
     paired = pair(names, names)
     assert (shown(paired), paired.numbers) == (names, list(range(25)))
+
+
+FROM_ZERO: dict[str, Name] = {  # at 29.97 Hz, and at 25 Hz, where the steps are even
+    "microseconds": lambda k, s: f"{1e6 * s:.0f}.png",
+    "microseconds with decimals": lambda k, s: f"{1e6 * s:.3f}.png",
+    "nanoseconds": lambda k, s: f"img_{1e9 * s:.0f}.png",
+    "milliseconds beside a counter": lambda k, s: f"img_{k:04}_{1e3 * s:.3f}.png",
+}
+
+
+@pytest.mark.parametrize("fps", [29.97, 25])
+@pytest.mark.parametrize("kind", FROM_ZERO)
+def test_times_from_a_start_are_read_where_they_can_be_no_numbers_of_frames(kind: str, fps: float) -> None:
+    names = written(FROM_ZERO[kind], fps, 24)
+    paired = pair(names, names)
+    assert shown(paired) == names
+    assert [time for time, _, _ in paired.frames] == pytest.approx([k / fps for k in range(24)], abs=1.01e-3)
+    assert paired.warnings == ()
+
+
+def test_decimals_of_less_than_a_second_are_a_time() -> None:
+    names = written(lambda k, s: f"rgb_{s:.3f}.png", 29.97, 24)
+    paired = pair(names, names)
+    assert [time for time, _, _ in paired.frames] == pytest.approx([k / 29.97 for k in range(24)], abs=1.01e-3)
+    assert paired.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (
+            lambda k, s: f"{1e3 * s:.0f}.png",
+            "the numbers in the names are about 33 apart and are taken as the numbers of",
+        ),
+        (lambda k, s: f"t{1e3 * s + 5e6:.0f}.png", "the numbers in the names are about 33 apart"),
+        (lambda k, s: f"{1e3 * s:.3f}.png", "the times in the names are 33.367 apart and are taken as seconds"),
+        (lambda k, s: f"rgb_{1e3 * s:.3f}.png", "the times in the names are 33.367 apart and are taken as seconds"),
+    ],
+)
+def test_what_may_be_milliseconds_is_a_warning(name: Name, said: str) -> None:
+    names = written(name, 29.97)
+    (warning,) = pair(names, names).warnings
+    assert warning.startswith(said)
+    assert "if they are milliseconds, name the images by seconds, or list the pairs" in warning
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        range(0, 600, 10),
+        [k for k in range(0, 600, 10) if k % 70],  # every tenth, some missing
+        [k * k for k in range(60)],
+        [0, 9, 31, 44, 70, 81, 120, 133, 139, 166],  # picked by their views
+        [7],
+    ],
+)
+@pytest.mark.parametrize("layout", ["{:06}.png", "cam0.{:06}.png", "take_0.{:03}.png"])
+def test_picked_frames_are_no_times(layout: str, numbers: list[int]) -> None:
+    names = [layout.format(number) for number in numbers]
+    paired = pair(names, names)
+    assert (paired.numbers, paired.warnings) == (list(numbers), ())
+    assert [time for time, _, _ in paired.frames] == pytest.approx([number / 30 for number in numbers])
+
+
+def test_seconds_since_1970_may_be_far_apart() -> None:
+    names = [f"{START_S + 33.367 * k:.3f}.png" for k in range(20)]
+    assert pair(names, names).warnings == ()
