@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import IdRgbdoError
-from .name_times import Times, long_gap, set_back, tick_gap, ticks_in, times_in
+from .midnight import day_beside
+from .name_times import OF_DAY, Times, long_gap, set_back, tick_gap, ticks_in, times_in
 from .names import Names, numbers_in, read_names, repeated
 from .pairing import FPS, MOST_ALONE, alone_warning, pair_by_time, share_alone
 
@@ -42,7 +43,7 @@ def pair_by_names(
     names = read_names(color), read_names(depth)
     strays = _stray_warning(names)
     tried: list[str] = []
-    read = times_in(names[0]), times_in(names[1])
+    read = _of_one_night(times_in(names[0]), times_in(names[1]))
     times = _going_on(names[0], read[0], tried), _going_on(names[1], read[1], tried)
     numbers = numbers_in(names[0], _columns(read[0])), numbers_in(names[1], _columns(read[1]))
     clock = tuple(f"{reason}; the frames are taken by their numbers" for reason in tried)
@@ -63,6 +64,14 @@ def pair_by_names(
 
 def _columns(times: Times | None) -> tuple[int, ...]:
     return times.columns if times else ()
+
+
+def _of_one_night(color: Times | None, depth: Times | None) -> tuple[Times | None, Times | None]:
+    """Times of day of colour and depth of which one kind may begin after midnight, or end before."""
+    if not (color and depth and color.kind.startswith(OF_DAY) and depth.kind.startswith(OF_DAY)):
+        return color, depth
+    later = day_beside(color.seconds, depth.seconds), day_beside(depth.seconds, color.seconds)
+    return replace(color, seconds=later[0]), replace(depth, seconds=later[1])
 
 
 def _going_on(names: Names, times: Times | None, tried: list[str]) -> Times | None:

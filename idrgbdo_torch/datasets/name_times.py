@@ -13,6 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from ..text.clock import LEAST_TICKS, NO_SECONDS, UNITS, in_seconds, unit_of
+from .midnight import over_midnight
 from .names import EPOCH_S, Names, counts, gaps, is_epoch, is_fraction, varying
 
 SHORTEST_GAP_S = 2e-3  # no depth camera is faster; what counts faster is a counter
@@ -24,6 +25,7 @@ MOST_STEPS_BACK = 0.1  # of a clock that was set; against what goes back more of
 FARTHEST_PICKED = 8000  # frames apart; numbers that are farther apart are ticks of a clock
 NEAR_USUAL = 0.1  # of the usual gap, by which at least half of a clock's gaps differ at most
 FRACTIONS = {3: "milliseconds", 6: "microseconds", 9: "nanoseconds"}  # by the digits of a part of a second
+OF_DAY = "time of day"  # the kind of times without a date
 DATE = re.compile(
     r"(?<!\d)(?P<day>\d{4}[-_.:]?\d\d[-_.:]?\d\d)[-_.T ]{0,3}"
     r"(\d\d)[-_.:h]?(\d\d)[-_.:m]?(\d\d)(?:s?[-_.,:]?(\d{1,9}))?(?!\d)"
@@ -138,12 +140,14 @@ def _evenest(
 
 def _dates(names: Names) -> Iterator[Times]:
     """Date and time of day (taken for UTC), with or without a part of a second; or the time of day with one."""
-    for pattern, kind in ((DATE, "date, time"), (TIME_OF_DAY, "time of day")):
+    for pattern, kind in ((DATE, "date, time"), (TIME_OF_DAY, OF_DAY)):
         found = [pattern.search(path.stem) for path in names.files]
         moments = [_moment(match) for match in found if match is not None]
         whole = [moment for moment in moments if moment is not None]
         if len(whole) < len(found):
             continue
+        if kind == OF_DAY:
+            whole = over_midnight(whole)
         parts = [match[5] for match in found if match is not None]
         columns = next(_columns_of(match) for match in found if match is not None)
         if all(part is None for part in parts):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -145,3 +146,20 @@ def test_picked_frames_are_no_times(layout: str, numbers: list[int]) -> None:
 def test_seconds_since_1970_may_be_far_apart() -> None:
     names = [f"{START_S + 33.367 * k:.3f}.png" for k in range(20)]
     assert pair(names, names).warnings == ()
+
+
+def time_of_day(k: int, seconds: float) -> str:
+    ms = (24 * 3600 - 1) * 1000 + round(1000 * seconds)  # from a second before midnight on
+    return f"{ms // 3_600_000 % 24:02}-{ms // 60_000 % 60:02}-{ms // 1000 % 60:02}.{ms % 1000:03}.png"
+
+
+@pytest.mark.parametrize(("color", "depth"), [((0, 60), (0, 60)), ((20, 60), (31, 60)), ((20, 34), (20, 29))])
+def test_times_of_day_go_on_over_midnight(color: tuple[int, int], depth: tuple[int, int]) -> None:
+    """Though one kind begins after midnight, or ends before."""
+    names = written(time_of_day, 29.97)
+    paired = pair(names[slice(*color)], names[slice(*depth)])
+    assert shown(paired) == names[max(color[0], depth[0]) : min(color[1], depth[1])]
+    times = [time for time, _, _ in paired.frames]
+    assert [after - before for before, after in pairwise(times)] == pytest.approx(
+        [1 / 29.97] * (len(times) - 1), abs=2e-3
+    )
