@@ -15,8 +15,8 @@ from ..text.files import read_text
 from ..text.plain import shown
 from ..text.tum import LATEST
 from .images import IMAGE_SUFFIXES
+from .pairing import MOST_REPEATED
 
-MOST_REPEATED = 0.1  # of a list's lines; a clock that repeats more is none
 MOST_FIELDS = 64  # of a line whose names of images hold blanks
 LONGEST_PATH = 4096  # letters
 STEP_BACK_S = 1.0  # a longer one is a clock that was set back

@@ -20,6 +20,7 @@ from .images import IMAGE_SUFFIXES, read_color, read_depth
 FPS = 30.0  # where nothing tells the times
 LEAST_OFF_S, ODD = 0.01, 10  # a time is odd that is so far, and so many times as far as usual, from that of recording
 MOST_ALONE = 0.1  # of the images of a kind; where more have no partner, something is wrong
+MOST_REPEATED = 0.1  # of the times of a kind; a clock that repeats more is none
 
 T = TypeVar("T")
 FilePair = tuple[Path, Path]  # colour, depth

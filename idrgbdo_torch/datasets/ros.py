@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import weakref
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -25,13 +26,13 @@ from .pairing import out_of_time, pair_by_time, unpaired_warning
 from .recording import Options, Recording
 from .ros_camera import calibration_of_info
 from .ros_images import DEPTH_HEADER, color_image, depth_image, is_deep
+from .ros_times import Shot, Shots, Stamp, in_time
 from .ros_topics import Topic, choose_topics, namespace_of
 from .usual import LOOK_AT
 
 DEPTH_SCALE = 1000.0  # REP 118
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 INFO_TYPE = "sensor_msgs/msg/CameraInfo"
-Stamp = tuple[float, int]  # s of the header, ns at which it was recorded
 
 
 def recognise(path: Path) -> bool:
@@ -54,9 +55,10 @@ def read(path: Path, options: Options) -> Recording:
     beside = path.with_suffix(".toml")  # as `idrgbdo live --record` leaves it
     options = replace(options, camera=beside) if options.camera is None and beside.is_file() else options
     color, depth, ambiguous = bag.topics(options)
-    of_color, of_depth = bag.stamps(color), bag.stamps(depth)
+    color_shots, depth_shots = bag.shots(color), bag.shots(depth)
     if bag.reader.revised():  # with what looking for depth has found
-        of_color = bag.stamps(color)
+        color_shots = bag.shots(color)
+    of_color, of_depth, repeats = in_time(color_shots, depth_shots, path)
     frames = pair_by_time(of_color, of_depth, options.association_limit_s, path)
     paired = {stamp for _, *both in frames for stamp in both}
     bag.timeless |= {stamp for images in (of_color, of_depth) for stamp in out_of_time(images, paired)}
@@ -80,6 +82,7 @@ def read(path: Path, options: Options) -> Recording:
         depth_scale=DEPTH_SCALE,
         warnings=(
             *ambiguous,
+            *repeats,
             *unpaired_warning(of_color, of_depth, len(frames), options.association_limit_s),
             *bag.warnings(),
             *(bag.frame_warnings(color, frames[0][1], depth, frames[0][2]) if options.camera is None else ()),
@@ -134,12 +137,12 @@ class _Bag:
                 continue
         return ""
 
-    def stamps(self, connection: Connection) -> list[tuple[float, Stamp]]:
-        """The images of a topic by the time of their headers, or by that of their recording where headers have none.
+    def shots(self, connection: Connection) -> Shots:
+        """The images of a topic with the time of their headers, or that of their recording where headers have none.
 
         Raises IdRgbdoError for a recording that has none.
         """
-        images: list[tuple[float, Stamp, bool]] = []
+        images: list[tuple[Shot, bool]] = []
         clock = self._camera_clock(connection)
         for recorded, data in self._messages(connection):
             try:
@@ -149,17 +152,16 @@ class _Bag:
                 self.timeless.add((connection.topic, recorded))
                 continue
             time = clock.get(recorded) or (stamp if stamp > 0 else recorded / 1e9)
-            images.append((time, (stamp, recorded), is_deep(message)))
-        usual = 2 * sum(deep for _, _, deep in images) >= len(images)
-        found = {time: stamp for time, stamp, deep in images if deep == usual}
-        self.timeless |= {(connection.topic, stamp) for _, stamp, deep in images if deep != usual}
-        if not found:
+            images.append((Shot(time, (stamp, recorded), zlib.crc32(message.data)), is_deep(message)))
+        usual = 2 * sum(deep for _, deep in images) >= len(images)
+        self.timeless |= {(connection.topic, shot.stamp) for shot, deep in images if deep != usual}
+        if not images:
             damaged = self.reader.damaged()
             why = f" (damaged: {damaged[0]})" if damaged else ""
             raise IdRgbdoError(
                 f"{self._path}: expected images in '{connection.topic}', got none{why}; name another topic"
             )
-        return sorted(found.items())
+        return Shots(connection.topic, [shot for shot, deep in images if deep == usual])
 
     def _camera_clock(self, connection: Connection) -> dict[int, float]:
         """Times by the camera's own clock (s) of images by that of their recording (ns), as pyrealsense2 leaves them.
