@@ -10,7 +10,7 @@ from ..errors import IdRgbdoError
 from .midnight import day_beside
 from .name_times import OF_DAY, Times, long_gap, set_back, tick_gap, ticks_in, times_in
 from .names import Names, numbers_in, read_names, repeated
-from .pairing import FPS, MOST_ALONE, alone_warning, pair_by_time, share_alone
+from .pairing import FPS, MOST_ALONE, alone_warning, own_counts_warning, pair_by_time, share_alone
 
 LIST = "or list the pairs, lines `time colour time depth`, and pass the list with --associations"
 IN_SECONDS = f"if they are milliseconds, name the images by seconds, {LIST}"
@@ -173,7 +173,11 @@ def _by_number(
         [n for _, n in frames],
         sorted({*color, *depth}),
         f"paired by number, {clock}",
-        (*(_ticks_warning(common, fps) if counted else ()), *alone_warning(alone, "of the same number")),
+        (
+            *(_ticks_warning(common, fps) if counted else ()),
+            *alone_warning(alone, "of the same number"),
+            *own_counts_warning(list(color), list(depth)),
+        ),
     )
 
 

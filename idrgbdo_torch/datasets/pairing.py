@@ -20,6 +20,9 @@ from .images import IMAGE_SUFFIXES, read_color, read_depth
 FPS = 30.0  # where nothing tells the times
 LEAST_OFF_S, ODD = 0.01, 10  # a time is odd that is so far, and so many times as far as usual, from that of recording
 MOST_ALONE = 0.1  # of the images of a kind; where more have no partner, something is wrong
+RATES = (2, 3)  # of which one kind can be recorded so many times as often as the other
+RATE_OFF = 0.02  # of the images: what was dropped
+FEWEST_COUNTED = 10  # images of which a ratio of rates is told
 MOST_REPEATED = 0.1  # of the times of a kind; a clock that repeats more is none
 
 T = TypeVar("T")
@@ -71,7 +74,7 @@ def pair_by_number(
             f"and {len(depth)} depth images without a common one; name them alike, e.g. 000000.png in both folders"
         )
     alone = [path for of_one in (color, depth) for number, path in of_one.items() if number not in pairs]
-    return pairs, alone_warning(alone, "of the same number")
+    return pairs, (*alone_warning(alone, "of the same number"), *own_counts_warning(list(color), list(depth)))
 
 
 def alone_warning(alone: Sequence[Path], how: str) -> tuple[str, ...]:
@@ -83,6 +86,27 @@ def alone_warning(alone: Sequence[Path], how: str) -> tuple[str, ...]:
     where = f"{alone[0].parent.name}/{alone[0].name}"
     first = where if len(alone) == 1 else f"the first is {where}"
     return (f"{len(alone)} {images_have} no partner {how} and {are} left out: {first}",)
+
+
+def own_counts_warning(color: Sequence[int], depth: Sequence[int]) -> tuple[str, ...]:
+    """A sentence where the numbers look like those of two streams of different rates, each of which counts its own.
+
+    color, depth: increasing numbers. A kind that ends early looks the same; this can't be told from the names.
+    """
+    fewer, more = sorted((len(color), len(depth)))
+    rate = round(more / fewer)
+    gaps = any(numbers[-1] - numbers[0] + 1 != len(numbers) for numbers in (color, depth))
+    if fewer < FEWEST_COUNTED or rate not in RATES or gaps or color[0] != depth[0]:
+        return ()
+    if abs(more - rate * fewer) > rate + RATE_OFF * more:
+        return ()
+    times = "twice" if rate == 2 else f"{rate} times"
+    names = ("colour", "depth") if len(color) > len(depth) else ("depth", "colour")
+    return (
+        f"there are {times} as many {names[0]} as {names[1]} images, both counted from {color[0]} on: if each stream "
+        "has a count of its own, images of the same number were not taken at the same time; list the pairs then, lines "
+        "`time colour time depth`, and pass the list with --associations",
+    )
 
 
 def share_alone(color: Sequence[float], depth: Sequence[float], pairs: int) -> float:

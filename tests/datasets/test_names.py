@@ -150,6 +150,23 @@ def test_depth_at_half_the_rate_is_no_fault_and_depth_that_starts_late_neither()
         assert len(pair([f"{k}.png" for k in range(FRAMES)], [f"{k}.png" for k in range(20, FRAMES)]).frames) == 55
 
 
+@pytest.mark.parametrize(("colors", "depths", "said"), [(70, 35, "twice"), (35, 71, "twice"), (90, 29, "3 times")])
+def test_kinds_that_count_on_their_own_are_doubted(colors: int, depths: int, said: str) -> None:
+    paired = pair([f"{k:06}.png" for k in range(colors)], [f"{k:06}.png" for k in range(depths)])
+    assert len(paired.frames) == min(colors, depths)
+    more, fewer = ("colour", "depth") if colors > depths else ("depth", "colour")
+    assert f"there are {said} as many {more} as {fewer} images, both counted from 0 on" in paired.warnings[1]
+    assert "pass the list with --associations" in paired.warnings[1]
+
+
+def test_one_count_of_both_kinds_is_not_doubted() -> None:
+    numbers = [f"{k:06}.png" for k in range(70)]
+    for fewer in (numbers[::2], numbers[35:], numbers[:50], numbers[:4]):
+        assert len(pair(numbers, fewer).warnings) == 1
+    assert len(pair(numbers[:8], numbers[:4]).warnings) == 1  # too few to tell
+    assert pair(numbers, numbers).warnings == ()
+
+
 def test_numbers_that_repeat_are_an_error_with_two_names() -> None:
     names = [f"{side}_{k:04}.png" for k in range(20) for side in ("left", "right")]
     with pytest.raises(
