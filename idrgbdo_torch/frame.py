@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from .definitions.camera import Pinhole
-from .definitions.checks import check_gray, check_metres, extremes
+from .definitions.checks import check_gray, check_metres, extremes, unknown_depth
 from .definitions.given import number, plain_tensor
 from .errors import IdRgbdoError
 from .kernels.pyramid import halve, smooth
@@ -103,7 +103,8 @@ class RgbdFrame:
 
         rgb: (H, W, 3) or (3, H, W) uint8, red green blue, or (H, W) uint8 gray. depth: (H, W), registered to rgb,
         float (metres unless depth_scale says otherwise) or integer, for which depth_scale says how many make a metre:
-        1000 where they are millimetres, 5000 in TUM's files. Raises IdRgbdoError for anything else.
+        1000 where they are millimetres, 5000 in TUM's files. Of integers of 16 bits or more 0 and the largest value are
+        unknown, as in files. Raises IdRgbdoError for anything else.
         """
         color, z = plain_tensor("rgb", rgb), plain_tensor("depth", depth)
         if not isinstance(camera, Pinhole):
@@ -123,6 +124,8 @@ class RgbdFrame:
                 f"depth_scale: expected the values per metre of {z.dtype} depth, got none; pass 1000 for millimetres"
             )
         metres = z.to(torch.float32) / float(depth_scale or 1.0)
+        if not z.dtype.is_floating_point and z.element_size() > 1:
+            metres.numpy()[z.numpy() == unknown_depth(z.numpy())] = 0
         color = color.contiguous()
         if color.dim() == 2:
             return cls(timestamp, color.float(), metres, camera, color[..., None].expand(*size, 3).contiguous()).owned()

@@ -40,6 +40,24 @@ def test_float_depth_is_in_metres_and_what_is_none_becomes_0() -> None:
     assert torch.equal(same.depth, frame.depth)
 
 
+@pytest.mark.parametrize("tensors", [False, True])
+@pytest.mark.parametrize("kind", [np.uint16, np.int16, np.int32, np.uint32, np.int64])
+def test_the_largest_integer_is_unknown_depth(kind: type, tensors: bool) -> None:
+    depth: Any = DEPTH.astype(kind)
+    depth[0, :2] = 0, np.iinfo(kind).max
+    frame = RgbdFrame.from_images(0.0, RGB, torch.from_numpy(depth) if tensors else depth, CAMERA, depth_scale=1000)
+    assert frame.depth[0].tolist() == [0, 0, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5]
+
+
+def test_the_largest_of_a_narrower_type_is_unknown_where_nothing_is_above() -> None:
+    wide = DEPTH.astype(np.int32)
+    wide[0, 0] = 65535
+    assert RgbdFrame.from_images(0.0, RGB, wide, CAMERA, depth_scale=1000).depth[0, 0] == 0
+    wide[0, 1] = 70000
+    frame = RgbdFrame.from_images(0.0, RGB, wide, CAMERA, depth_scale=1000)
+    assert frame.depth[0, :2].tolist() == pytest.approx([65.535, 70])
+
+
 @pytest.mark.parametrize(
     ("rgb", "depth", "scale", "complaint"),
     [

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from ..definitions.camera import Pinhole
+from ..definitions.checks import unknown_depth
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from ..text.plain import shown
@@ -120,8 +121,7 @@ def metres(depth: NDArray[Any], depth_scale: float) -> NDArray[np.float32]:
         return metres_of_16_bits(depth, depth_scale, SATURATED)
     if depth.dtype.kind in "iu":
         depth_m = np.asarray(depth / np.float32(depth_scale), dtype=np.float32)
-        unknown = SATURATED if depth.max(initial=0) == SATURATED else np.iinfo(depth.dtype).max
-        depth_m[(depth <= 0) | (depth == unknown)] = 0
+        depth_m[(depth <= 0) | (depth == unknown_depth(depth))] = 0
         return depth_m
     with np.errstate(all="ignore"):  # what becomes infinite is unknown
         scaled = depth.astype(np.float32) / np.float32(depth_scale)

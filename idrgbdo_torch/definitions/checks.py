@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from ..errors import IdRgbdoError
@@ -11,6 +15,7 @@ from .points import HostPoints
 
 GRAY_ROOM = 512  # gray levels beyond 0..255 that noise, interpolation or a change of exposure may make
 DARK_LEVELS = 32  # different values up to 1 in an image that is merely dark
+SATURATED = (2**16 - 1, 2**32 - 1)  # the largest unsigned integers, which some cameras write for "no depth"
 FARTHEST_M = 100.0  # median depth
 LEAST_VIEW = 0.3  # share of the points that the target must see
 LARGEST_RMS = 2.0  # median whitened residual: 0.5 to 1.6 between real images of one place, mostly above 2.2 of others
@@ -44,6 +49,16 @@ def extremes(image: Tensor) -> tuple[float, float]:
         return float(image.numpy().min()), float(image.numpy().max())
     low, high = torch.stack(image.aminmax()).tolist()  # a GPU is waited for once
     return low, high
+
+
+def unknown_depth(depth: NDArray[Any]) -> int:
+    """The raw depth that stands for "not measured" besides 0, of integers of 16 bits or more.
+
+    It is the largest of their type, or of a narrower one where that is the image's largest: depth may come in a wider
+    type than the camera gave it in.
+    """
+    largest = int(depth.max(initial=0))
+    return largest if largest in SATURATED else int(np.iinfo(depth.dtype).max)
 
 
 def check_metres(depth: Tensor) -> None:
