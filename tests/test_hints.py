@@ -94,6 +94,27 @@ def test_quaternions_in_the_other_order(which: str) -> None:
     assert f"the quaternions of the {which} look like w x y z" in said
 
 
+def planar(count: int = 300) -> Trajectory:
+    """A robot's path in a plane, which turns about the camera's y axis."""
+    time = torch.arange(count, dtype=torch.float64) / 30
+    xi = torch.zeros(count, 6, dtype=torch.float64)
+    xi[:, 4] = 0.7 * torch.sin(0.5 * time)
+    poses = exp(xi)
+    poses[:, 0, 3], poses[:, 2, 3] = 0.5 * torch.sin(0.8 * time + 0.05 * time**2), 0.03 * time**2
+    return Trajectory(time, poses)
+
+
+@pytest.mark.parametrize("which", ["estimate", "reference"])
+def test_the_other_order_of_a_planar_path_shows_in_its_way(which: str) -> None:
+    truth = planar()
+    assert hints(drifting(truth), truth) == ()
+    pair = (swapped(drifting(truth)), truth) if which == "estimate" else (drifting(truth), swapped(truth))
+    plain = (swapped(truth), truth) if which == "estimate" else (truth, swapped(truth))
+    for estimate, reference in (pair, plain):
+        (said,) = hints(estimate, reference)
+        assert f"the quaternions of the {which} look like w x y z" in said
+
+
 def test_inverted_poses() -> None:
     truth = walk()
     (said,) = hints(drifting(truth), inverted(truth))

@@ -19,6 +19,7 @@ OFFSET_GAIN = 0.7  # of the ATE is left at the right offset; drift stays
 LEAST_SCALE = 0.03  # an odometry's own error of scale is smaller
 LEAST_TURN = math.radians(3)
 LEAST_ARM_M = 0.02
+LEAST_WAY_M = 0.02
 UNITS = {1000.0: "millimetres", 100.0: "centimetres", 1 / 0.3048: "feet", 1 / 0.0254: "inches"}  # per metre
 
 
@@ -57,7 +58,7 @@ def _order(P: Tensor, Q: Tensor) -> str:
     """Quaternions written as w x y z."""
     before = _turn_error(P, Q)
     if before < LEAST_TURN:
-        return ""
+        return _order_by_way(P, Q)
     after = {"estimate": _turn_error(_reordered(P), Q), "reference": _turn_error(P, _reordered(Q))}
     name = min(after, key=lambda name: after[name])
     if after[name] > CLEARLY * before:
@@ -65,6 +66,22 @@ def _order(P: Tensor, Q: Tensor) -> str:
     return (
         f"the quaternions of the {name} look like w x y z (rotations then differ by {math.degrees(after[name]):.2f} "
         f"instead of {math.degrees(before):.1f} degrees); write them as x y z w"
+    )
+
+
+def _order_by_way(P: Tensor, Q: Tensor) -> str:
+    """The same where the order shows in the way alone: turns about the camera's y axis stay as they are without it."""
+    before = _way_error(P, Q)
+    if before < LEAST_WAY_M or _still(P, Q):
+        return ""
+    pairs = {"estimate": (_reordered(P), Q), "reference": (P, _reordered(Q))}
+    after = {name: _way_error(*pair) for name, pair in pairs.items() if _turn_error(*pair) < LEAST_TURN}
+    name = min(after, key=lambda name: after[name], default="")
+    if not name or after[name] > CLEARLY * before:
+        return ""
+    return (
+        f"the quaternions of the {name} look like w x y z (ways as the camera sees them then differ by "
+        f"{after[name]:.4f} instead of {before:.4f} m); write them as x y z w"
     )
 
 
@@ -174,6 +191,11 @@ def _turn_error(P: Tensor, Q: Tensor) -> float:
     """RMS angle between the motions of two rows of poses, rad."""
     R = _motions(P)[:, :3, :3].mT @ _motions(Q)[:, :3, :3]
     return float(angle(R).square().mean().sqrt())
+
+
+def _way_error(P: Tensor, Q: Tensor) -> float:
+    """RMS distance between the ways of the motions of two rows of poses, each seen from its beginning, m."""
+    return float((_motions(P)[:, :3, 3] - _motions(Q)[:, :3, 3]).square().sum(1).mean().sqrt())
 
 
 def _ate(P: Tensor, Q: Tensor) -> float:
