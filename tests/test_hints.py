@@ -145,6 +145,32 @@ def test_another_clock(offset: float) -> None:
     assert ate == pytest.approx(absolute_error(estimate, truth).rmse_m, abs=0.002)
 
 
+@pytest.mark.parametrize("which", ["estimate", "reference"])
+@pytest.mark.parametrize(("step", "guess"), [(1, "numbers of frames"), (33, "milliseconds")])
+@pytest.mark.parametrize("start", [0.0, 1612345678.5])
+def test_numbers_of_frames_are_no_times(which: str, step: int, guess: str, start: float) -> None:
+    truth = later(walk(), start)
+    counted = Trajectory(step * torch.arange(len(truth), dtype=torch.float64), truth.T_world_cam)
+    (said,) = hints(*((counted, truth) if which == "estimate" else (truth, counted)))
+    assert f"the times of the {which} are whole numbers {step} apart and are taken as seconds" in said
+    assert f"if they are {guess}, write seconds" in said
+
+
+def test_whole_seconds_that_match_are_times() -> None:
+    truth = walk(300)
+    assert hints(truth, truth.at(torch.arange(0, 300, 30))) == ()
+    both = Trajectory(torch.arange(300, dtype=torch.float64), truth.T_world_cam)
+    assert hints(both, both) == ()
+
+
+def test_few_common_times_are_said() -> None:
+    truth = walk(300)
+    estimate = Trajectory(truth.timestamps + 9.8, truth.T_world_cam)
+    strangers = Trajectory(truth.timestamps, walk(900).at(torch.arange(600, 900)).T_world_cam)
+    (said,) = hints(estimate, strangers)
+    assert said.startswith("only 6 of 300 estimated and 300 reference poses are within 0.02 s of each other")
+
+
 def test_two_recordings_are_not_taken_for_one() -> None:
     other = walk(count=400).at(torch.arange(230, 380))
     assert hints(walk(), later(other, 1000.0)) == ()

@@ -10,7 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from ..errors import IdRgbdoError
-from ..text.clock import LEAST_TICKS, in_seconds, unit_of
+from ..text.clock import doubtful_seconds, in_seconds, unit_of
 from ..text.files import read_text
 from ..text.plain import shown
 from ..text.tum import LATEST
@@ -82,13 +82,10 @@ class ImageList:
 
     def _pace(self, times: Sequence[float]) -> tuple[str, ...]:
         """Whole numbers that count the frames, or milliseconds from 0 on, look like seconds but are none."""
-        gaps = sorted(b - a for a, b in pairwise(times))
-        if len(gaps) < 2 or self.unit != "seconds" or any(time % 1 for time in times):
+        doubt = doubtful_seconds(times) if self.unit == "seconds" else None
+        if doubt is None:
             return ()
-        gap = gaps[len(gaps) // 2]
-        if not (gap == 1 and times[0] < 1e6) and not LEAST_TICKS <= gap < 1000:
-            return ()
-        guess = "numbers of frames" if gap == 1 else "milliseconds"
+        gap, guess = doubt
         return (
             f"{self.path}: the times are whole numbers {gap:g} apart and are taken as seconds; if they are {guess}, "
             "write seconds",

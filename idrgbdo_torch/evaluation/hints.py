@@ -8,11 +8,14 @@ import torch
 from torch import Tensor
 
 from ..definitions.se3 import inverse
+from ..text.clock import doubtful_seconds
 from ..trajectory import Trajectory, align, associate, quaternion_from_rotation, rotation_from_quaternion
 from .absolute import ASSOCIATION_LIMIT_S, FEWEST, distances
 from .offset import clock_offset
 from .relative import angle, without_orientation
 
+FEW = 0.1  # of the poses of the shorter match those of the other
+MOST_MET = 0.5  # of the poses, whose times are numbers of frames, match those of the other by chance
 CLEARLY = 0.3  # of the error is left where a suspicion is right
 LEAST_OFFSET_S = 0.01
 OFFSET_GAIN = 0.7  # of the ATE is left at the right offset; drift stays
@@ -28,22 +31,46 @@ def hints(
 ) -> tuple[str, ...]:
     """Sentences on what a reader of the errors should know: how the files were read, and what the poses show.
 
-    Looked for are quaternions in the order w x y z, inverted poses, another unit of length, an offset between the
-    clocks, and a reference of another frame on the same body. Only the first that is found is said, since each hides
-    the others. Never raises.
+    Looked for are numbers of frames in place of times, quaternions in the order w x y z, inverted poses, another unit
+    of length, an offset between the clocks, a reference of another frame on the same body, and few common times. Only
+    the first that is found is said, since each hides the others. Never raises.
     """
     notes = (*estimate.notes, *reference.notes)
     if min(len(estimate), len(reference)) < FEWEST:
         return notes
     of_estimate, of_reference = associate(estimate.timestamps, reference.timestamps, max_difference_s)
-    if len(of_estimate) < FEWEST:
+    matched = len(of_estimate)
+    if counted := _counted(estimate, reference, matched):
+        return (*notes, counted)
+    if matched < FEWEST:
         return notes + _other_clock(estimate, reference)
     found = _of_pairs(estimate.T_world_cam[of_estimate], reference.T_world_cam[of_reference])
     if not found:
         found = _offset(estimate, reference)
     if not found and not without_orientation(estimate, reference):
         found = _other_body(estimate.T_world_cam[of_estimate], reference.T_world_cam[of_reference])
+    if not found and matched < FEW * min(len(estimate), len(reference)):
+        found = (
+            f"only {matched} of {len(estimate)} estimated and {len(reference)} reference poses are within "
+            f"{max_difference_s:g} s of each other, and the errors are those of these alone; check that both files are "
+            "of one recording and by one clock, or raise --association-limit"
+        )
     return notes + ((found,) if found else ())
+
+
+def _counted(estimate: Trajectory, reference: Trajectory, matched: int) -> str:
+    """Times of one that look like numbers of frames, or milliseconds, where the other's don't and most match none."""
+    times = {"estimate": estimate.timestamps.tolist(), "reference": reference.timestamps.tolist()}
+    doubts = {name: doubt for name, of_one in times.items() if (doubt := doubtful_seconds(of_one))}
+    if len(doubts) != 1:
+        return ""
+    ((name, (gap, guess)),) = doubts.items()
+    if matched > MOST_MET * len(times[name]):
+        return ""
+    return (
+        f"the times of the {name} are whole numbers {gap:g} apart and are taken as seconds, of which {matched} of "
+        f"{len(times[name])} match the other's; if they are {guess}, write seconds"
+    )
 
 
 def _of_pairs(P: Tensor, Q: Tensor) -> str:

@@ -35,6 +35,20 @@ def unit_of(stamps: Sequence[float]) -> str | None:
     return min(UNITS, key=lambda name: abs(math.log(max(step, 1) / UNITS[name] / USUAL_STEP_S)))
 
 
+def doubtful_seconds(times: Sequence[float]) -> tuple[float, str] | None:
+    """The usual step and what increasing times (s) may be instead, "numbers of frames" or "milliseconds" from 0 on.
+
+    None for those that are seconds by all appearances.
+    """
+    gaps = sorted(b - a for a, b in pairwise(times))
+    if len(gaps) < 2 or any(time % 1 for time in times):
+        return None
+    gap = gaps[len(gaps) // 2]
+    if gap == 1 and times[0] < 1e6:
+        return gap, "numbers of frames"
+    return (gap, "milliseconds") if LEAST_TICKS <= gap < 1000 else None
+
+
 def in_seconds(stamp: float, unit: str) -> float:
     """A stamp (an int where it has too many digits for a float) of a unit in seconds."""
     return stamp / UNITS[unit] if unit in UNITS else float(stamp)
