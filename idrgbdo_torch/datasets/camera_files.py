@@ -16,15 +16,13 @@ import numpy as np
 from ..errors import IdRgbdoError
 from ..text.files import MOST_JSON, damage_named, is_named, parse_json, parse_toml, read_text
 from ..text.plain import shown
+from .camera_words import by_name, number, numbers
+from .distortion import ORDER, read_distortion
 from .yaml_text import parse_yaml
 
 MATRICES = (
     "camera_matrix", "cameramatrix", "intrinsic_matrix", "intrinsicmatrix", "camera_intrinsics", "k", "m1", "m",
     "intrinsics", "intrinsic", "projection_matrix",
-)  # fmt: skip
-DISTORTIONS = (
-    "distortion_coefficients", "distortion_coeffs", "distortioncoefficients", "dist_coeffs", "distcoeffs",
-    "distortion", "coeffs", "disto", "dist", "d", "d1",
 )  # fmt: skip
 SCALARS = {
     "fx": ("fx", "fl_x", "focal_x", "fu"),
@@ -35,15 +33,11 @@ SCALARS = {
     "height": ("image_height", "height", "h", "imageheight"),
     "depth_scale": ("depthmapfactor", "depth_map_factor", "depth_scale", "depth_factor", "png_depth_scale", "scale"),
     "fps": ("fps", "rate_hz"),
-    **{name: (name,) for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")},
 }
 SIZE = ("width", "height")
 SIZES = ("resolution", "image_size", "imagesize", "size")
-ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # OpenCV's
-MODELS = ("distortion_model", "model", "camera_model", "type", "distortion_type")
-OTHER_LENSES = ("fisheye", "equidist", "kannala", "inverse", "omni", "fov", "ftheta", "f-theta", "eucm")
-REALSENSE_MODELS = {1: "modified_brown_conrady", 2: "inverse_brown_conrady", 3: "ftheta", 5: "kannala_brandt"}
 LEAST_SCALE = 50.0  # depth values per metre; what is called "scale" and is smaller is something else
+Levels = tuple[Mapping[str, Any], ...]  # a mapping and those around it, inner ones first
 COLORFUL = ("color", "colour", "rgb")
 SUFFIXES = (".yaml", ".yml", ".json", ".txt")
 NAMES = ("camera", "calibration", "calib", "intrinsics", "intrinsic", "camera_info", "camera_intrinsics", "ost", "K")
@@ -87,7 +81,7 @@ def _toml(text: str, where: str) -> dict[str, Any]:
 def _lower(data: Mapping[str, Any]) -> dict[str, Any]:
     """Keys in small letters, numbers without quotes."""
     keys = {key: "T_color_depth" if key.lower() == "t_color_depth" else key.lower() for key in data}
-    return {keys[k]: _lower(v) if isinstance(v, Mapping) else _number(v) for k, v in data.items()}
+    return {keys[k]: _lower(v) if isinstance(v, Mapping) else number(v) for k, v in data.items()}
 
 
 def _upright(values: dict[str, Any], where: str) -> dict[str, Any]:
@@ -102,14 +96,6 @@ def _upright(values: dict[str, Any], where: str) -> dict[str, Any]:
     return values
 
 
-def _number(value: Any) -> Any:
-    """Text that is a number as that number."""
-    try:
-        return float(value) if isinstance(value, str) else value
-    except ValueError:
-        return value
-
-
 def _json(text: str, where: str) -> dict[str, Any]:
     data = parse_json(text, where, f"correct it, or write {_lines()}")
     return data if isinstance(data, dict) else {}
@@ -117,13 +103,14 @@ def _json(text: str, where: str) -> dict[str, Any]:
 
 def _camera(data: Mapping[str, Any], where: str) -> dict[str, Any]:
     """The camera in a mapping, or in the one of its parts that holds the colour camera."""
-    values = _read(data, where)
+    values = _read(data)
     if "fx" in values:
-        return values
-    parts = {name: part for name, part in _parts(data) if "fx" in _read(part, where, strict=False)}
-    chosen = {name: part for name, part in parts.items() if _colorful(name, part)} or parts
+        return {**values, **_distortion((data,), "", where)}
+    parts = {name: levels for name, levels in _parts(data, (data,)) if "fx" in _read(levels[0])}
+    chosen = {name: levels for name, levels in parts.items() if _colorful(name, levels[0])} or parts
     if len(chosen) == 1:
-        return {**_outer(values), **_read(next(iter(chosen.values())), where)}
+        ((name, levels),) = chosen.items()
+        return {**_outer(values), **_read(levels[0]), **_distortion(levels, name, where)}
     if chosen:
         raise IdRgbdoError(
             f"{where}: holds several cameras ({shown(', '.join(chosen), quoted=False)}); "
@@ -132,11 +119,12 @@ def _camera(data: Mapping[str, Any], where: str) -> dict[str, Any]:
     raise IdRgbdoError(f"{where}: expected a camera, found none of the names that are known; write {_lines()}")
 
 
-def _parts(data: Mapping[str, Any], depth: int = 0) -> list[tuple[str, Mapping[str, Any]]]:
-    """The mappings inside a mapping, two levels deep, the outer ones first."""
-    inner = [(name, part) for name, part in data.items() if isinstance(part, Mapping)]
-    below = [(f"{name}.{n}", p) for name, part in inner for n, p in _parts(part, depth + 1)] if depth < 1 else []
-    return inner + below
+def _parts(data: Mapping[str, Any], around: Levels) -> list[tuple[str, Levels]]:
+    """The mappings inside a mapping, two levels deep, the outer ones first; each with those around it."""
+    inner = [(name, (part, *around)) for name, part in data.items() if isinstance(part, Mapping)]
+    if len(around) > 1:
+        return inner
+    return inner + [(f"{name}.{n}", below) for name, levels in inner for n, below in _parts(levels[0], levels)]
 
 
 def _colorful(name: str, part: Mapping[str, Any]) -> bool:
@@ -149,19 +137,25 @@ def _outer(values: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in values.items() if key in ("depth_scale", "fps", *SIZE)}
 
 
-def _read(data: Mapping[str, Any], where: str, strict: bool = True) -> dict[str, Any]:
-    """The values of one mapping, by whatever names they have there."""
-    # `Camera.fx` and `Camera1.fx` are ORB-SLAM's, `RGBD.DepthMapFactor` too
-    lower = {key.lower(): value for key, value in data.items() if not key.lower().startswith("camera2.")}
-    named = {key.rsplit(".", 1)[-1]: value for key, value in lower.items()}
+def _distortion(levels: Levels, name: str, where: str) -> dict[str, float]:
+    """The distortion of the camera of this name, whose numbers stand in the first of the levels."""
+    named = by_name(levels[0])
+    if "m1" in named and "m2" in named:
+        raise IdRgbdoError(f"{where}: holds two cameras (M1, M2); write {_lines()} of the colour camera")
+    return read_distortion(levels, name, where, f"write {_lines()} of the rectified ones")
+
+
+def _read(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of one mapping, by whatever names they have there, without the distortion."""
+    named = by_name(data)
     values: dict[str, Any] = {}
     for field, names in SCALARS.items():
-        number = next((_number(named[name]) for name in names if name in named), None)
-        if isinstance(number, int | float) and not isinstance(number, bool):
-            values[field] = float(number)  # OverflowError, which the caller names, where it has hundreds of digits
+        value = next((number(named[name]) for name in names if name in named), None)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            values[field] = float(value)  # OverflowError, which the caller names, where it has hundreds of digits
     for name in MATRICES:
-        K = _list(named.get(name))
-        if "fx" not in values and (matrix := _intrinsics(K)) is not None:
+        matrix = _intrinsics(numbers(named.get(name)))
+        if "fx" not in values and matrix is not None:
             values.update(zip(("fx", "fy", "cx", "cy"), matrix, strict=True))
     scale = values.pop("depth_scale", 0.0)
     if 0 < scale < 0.1:  # metres per value, as RealSense has it
@@ -169,72 +163,28 @@ def _read(data: Mapping[str, Any], where: str, strict: bool = True) -> dict[str,
         values["depth_scale"] = float(whole) if abs(whole * scale - 1.0) < 1e-4 else 1.0 / scale
     elif scale >= LEAST_SCALE or (scale == 1.0 and "scale" not in named):
         values["depth_scale"] = scale
-    size = next((_list(named[name]) for name in SIZES if name in named), [])
+    size = next((numbers(named[name]) for name in SIZES if name in named), [])
     if len(size) == 2:
         values.update(width=size[0], height=size[1])
     values.update({name: round(values[name]) for name in SIZE if math.isfinite(values.get(name, math.inf))})
-    coefficients = next((found for name in DISTORTIONS if (found := _list(named.get(name)))), [])
     if "fx" not in values:
         return _outer(values)
-    if strict:
-        _refuse_words(named, where)
-        _check_lens(named, coefficients or [values.get(name, 0.0) for name in ORDER], where)
-    values.update(zip(ORDER, coefficients, strict=False))
     return {key: value for key, value in values.items() if value > 0 or key not in ("depth_scale", "fps", *SIZE)}
 
 
-def _refuse_words(named: Mapping[str, Any], where: str) -> None:
-    """Raises IdRgbdoError for distortion some of whose numbers are none: it would be left out without a word."""
-    for name in (*DISTORTIONS, *ORDER):
-        value = named.get(name)
-        value = value.get("data") if isinstance(value, Mapping) else value
-        some = isinstance(value, list) and any(isinstance(number, int | float) for number in value)
-        if (some and not _list(value)) or (name in ORDER and isinstance(_number(value), str)):
-            raise IdRgbdoError(f"{where}: {name}: expected numbers, got {shown(value)}; correct it")
-
-
-def _check_lens(named: Mapping[str, Any], coefficients: list[float], where: str) -> None:
-    """Raises IdRgbdoError for distortion that is not OpenCV's radial and tangential one."""
-    models = " ".join(str(named[name]) for name in MODELS if name in named).lower()
-    if "ppx" in named:
-        models = REALSENSE_MODELS.get(_number(named.get("model")), models)
-    if any(coefficients) and any(lens in models for lens in OTHER_LENSES):
-        raise IdRgbdoError(
-            f"{where}: expected radial and tangential distortion (plumb_bob, radtan, rational_polynomial), got "
-            f"'{shown(models, quoted=False)}'; rectify the images, then write {_lines()} of the rectified ones"
-        )
-    if "m1" in named and "m2" in named:
-        raise IdRgbdoError(f"{where}: holds two cameras (M1, M2); write {_lines()} of the colour camera")
-    if any(coefficients[len(ORDER) :]):
-        raise IdRgbdoError(
-            f"{where}: expected at most 8 distortion coefficients, got {len(coefficients)}; rectify the images, "
-            f"then write {_lines()} of the rectified ones"
-        )
-
-
-def _list(value: Any) -> list[float]:
-    """The numbers of a list, nested or not, or of {rows, cols, data}; empty for anything else."""
-    if isinstance(value, Mapping):
-        value = value.get("data")
-    try:
-        return [float(number) for number in np.asarray(value, dtype=np.float64).ravel()] if value is not None else []
-    except (TypeError, ValueError, OverflowError):
-        return []
-
-
-def _intrinsics(numbers: list[float]) -> tuple[float, float, float, float] | None:
+def _intrinsics(K: list[float]) -> tuple[float, float, float, float] | None:
     """fx, fy, cx, cy of four numbers, or of a matrix of 3 or 4 rows, stored by rows or by columns; None for another."""
-    if len(numbers) == 4:
-        return numbers[0], numbers[1], numbers[2], numbers[3]
-    shape = {9: (3, 3), 12: (3, 4), 16: (4, 4)}.get(len(numbers))
+    if len(K) == 4:
+        return K[0], K[1], K[2], K[3]
+    shape = {9: (3, 3), 12: (3, 4), 16: (4, 4)}.get(len(K))
     if shape is None:
         return None
-    K = np.reshape(numbers, shape)
-    if shape != (3, 4) and K[0, 2] == 0 and K[2, 0] != 0:
-        K = K.T
-    if K[0, 0] == 0 or tuple(K[2, :3]) != (0, 0, 1) or K[1, 0] != 0:
+    M = np.reshape(K, shape)
+    if shape != (3, 4) and M[0, 2] == 0 and M[2, 0] != 0:
+        M = M.T
+    if M[0, 0] == 0 or tuple(M[2, :3]) != (0, 0, 1) or M[1, 0] != 0:
         return None
-    return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+    return float(M[0, 0]), float(M[1, 1]), float(M[0, 2]), float(M[1, 2])
 
 
 def _numbers(text: str, where: str) -> dict[str, Any]:

@@ -1,0 +1,124 @@
+"""A distortion in a camera file is read, wherever it stands and whatever it is called, or refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from idrgbdo_torch.datasets.calibration import find_calibration
+from idrgbdo_torch.errors import IdRgbdoError
+
+F = {"fx": 262.5, "fy": 263.5, "cx": 159.5, "cy": 119.25}
+K = [[262.5, 0, 159.5], [0, 263.5, 119.25], [0, 0, 1]]
+D = [0.1, -0.2, 0.001, 0.002, 0.05]
+NAMED = dict(zip(("k1", "k2", "p1", "p2", "k3"), D, strict=True))
+VINS = """%YAML:1.0
+---
+model_type: PINHOLE
+camera_name: camera
+image_width: 320
+image_height: 240
+distortion_parameters:
+   k1: 0.1
+   k2: -0.2
+   p1: 0.001
+   p2: 0.002
+   k3: 0.05
+projection_parameters:
+   fx: 262.5
+   fy: 263.5
+   cx: 159.5
+   cy: 119.25
+min_dist: 30
+"""
+OKVIS = """cameras:
+  rgb:
+    intrinsics: {cols: 1, rows: 4, data: [262.5, 263.5, 159.5, 119.25]}
+    distortion:
+      type: radial-tangential
+      parameters:
+        cols: 1
+        rows: 5
+        data: [0.1, -0.2, 0.001, 0.002, 0.05]
+"""
+
+
+def read(tmp_path: Path, content: dict[str, Any] | str) -> tuple[float, ...]:
+    path = tmp_path / ("a.yaml" if isinstance(content, str) else "a.json")
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    camera = find_calibration(tmp_path, path)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == tuple(F.values())
+    return camera.distortion
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        VINS,
+        OKVIS,
+        {"color_camera": {"intrinsics": F, "distortion": {**NAMED, "metric_radius": 1.7}}, "depth_camera": {"k1": 5.5}},
+        {"intrinsics": F, "distortion": NAMED},
+        {"intrinsics": F, "distortion": D},
+        {"intrinsics": F, **NAMED},
+        {**F, "distortion": NAMED},
+        {**F, "distortion": {"model": "brown_conrady", "coeffs": D}},
+        {**F, "distortion": {"radial": [0.1, -0.2, 0.05], "tangential": [0.001, 0.002]}},
+        {"color_intrinsics": F, "color_distortion": D, "depth_intrinsics": F, "depth_distortion": [9.5]},
+        {"camera_matrix": K, "dist_coeff": [D]},
+        {"camera_matrix": K, "dist_coeff": 0, "dist_coeffs": [D]},
+        {"camera_matrix": K, "distortion": [0.0] * 5, "distCoeffs": D},
+        {"camera_matrix": K, "distortion_params": D, "undistorted": False, "max_distance": 3.5},
+        {"camera_matrix": K, "distortion_parameters": D},
+        {"camera_matrix": K, "distortion_coefficient": D},
+        {"camera_matrix": K, "rgb_distortion_coefficients": {"rows": 1, "cols": 5, "data": D}},
+        {"camera_matrix": K, "radial_distortion": [0.1, -0.2, 0.05], "tangential_distortion": [0.001, 0.002]},
+        {"IntrinsicMatrix": K, "RadialDistortion": [0.1, -0.2, 0.05], "TangentialDistortion": [0.001, 0.002]},
+        "camera_matrix: [262.5, 0, 159.5, 0, 263.5, 119.25, 0, 0, 1]\ndist_coeff: 0.1 -0.2 0.001 0.002 0.05\n",
+    ],
+)
+def test_a_distortion_is_read(content: dict[str, Any] | str, tmp_path: Path) -> None:
+    assert read(tmp_path, content) == (*D, 0, 0, 0)
+
+
+def test_one_coefficient_without_a_number_is_the_first_radial_one(tmp_path: Path) -> None:
+    assert read(tmp_path, {"model": "SIMPLE_RADIAL", **F, "k": 0.1})[:2] == (0.1, 0)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {**F, "distortion": [0.0] * 5},
+        {**F, "distortion": "none", "distortion_model": "plumb_bob", "distortion_coefficients": []},
+        {**F, "distortion": {"k1": 0, "k2": 0}, "num_distortion_coeffs": 5, "dist_coeffs": None},
+        {"rgb_undistorted": F, "undistort": 1, "depth_distortion": D},
+        {"color": F, "depth": {**F, "fx": 99.5, "coeffs": D}},
+    ],
+)
+def test_none_is_read_as_none(content: dict[str, Any], tmp_path: Path) -> None:
+    assert read(tmp_path, content) == (0,) * 8
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        ({**F, "lens_distortion_poly3": [0.1, 0.2]}, "lens_distortion_poly3: expected distortion as k1, k2, p1, p2"),
+        ({"camera": F, "radial_polynomial": [0.1]}, "radial_polynomial: expected distortion as k1"),
+        ({**F, "distortion_center": 0.5}, "distortion_center: expected distortion as k1"),
+        ({**F, "distortion": {"k1": 0.1, "t1": 0.001}}, "t1: expected distortion as k1"),
+        ({**F, "distortion": [0.1, "x"]}, r"distortion: expected numbers, got \[0\.1, 'x'\]"),
+        ({**F, "distortion": "0.1 x"}, "distortion: expected numbers, got"),
+        ({**F, "distortion": D, "dist_coeffs": [0.3]}, "expected one distortion, got distortion and dist_coeffs"),
+        ({"intrinsics": {**F, "k1": 0.2}, "distortion": D}, "expected one distortion, got k1 and distortion"),
+        ({**F, "tangential": [0.1, 0.2, 0.3]}, "tangential: expected at most 2 distortion coefficients, got 3"),
+        ({"camera_model": "OPENCV_FISHEYE", "intrinsics": F, "distortion": D}, "got 'opencv_fisheye'; rectify"),
+        ({**F, "is_fisheye": True, **NAMED}, "got 'is_fisheye'; rectify"),
+        ({**F, "distortion": {"type": "equidistant", "coeffs": D}}, "got 'equidistant'; rectify"),
+    ],
+)
+def test_a_distortion_that_cannot_be_read_is_refused(content: dict[str, Any], complaint: str, tmp_path: Path) -> None:
+    with pytest.raises(IdRgbdoError, match=complaint) as caught:
+        read(tmp_path, content)
+    assert "\n" not in str(caught.value)
