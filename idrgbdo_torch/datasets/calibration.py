@@ -226,9 +226,11 @@ NAN = float("nan")
 UNSET = Calibration(NAN, NAN, NAN, NAN)
 
 
-def find_calibration(folder: Path, camera: Path | None = None, default: Calibration | None = None) -> Calibration:
+def find_calibration(
+    folder: Path, camera: Path | None = None, default: Calibration | Path | None = None
+) -> Calibration:
     """From the file `camera`, else the folder's camera.toml or calibration.txt, another program's calibration under a
-    usual name (camera_files.NAMES), the data set in the folder's name, `default`.
+    usual name (camera_files.NAMES), the data set in the folder's name, `default`, which may be another file.
 
     Raises IdRgbdoError where none of them is there, or the one that is cannot be read.
     """
@@ -241,7 +243,7 @@ def find_calibration(folder: Path, camera: Path | None = None, default: Calibrat
     name = folder.resolve().name
     named = next((known for pattern, known in NAMED.items() if re.search(pattern, name, re.IGNORECASE)), default)
     if named is not None:
-        return named
+        return replace(_from_file(named), origin=f"camera of {named.name}") if isinstance(named, Path) else named
     raise IdRgbdoError(
         f"camera: unknown intrinsics for '{folder}'; write '{folder / 'camera.toml'}' with the lines {EXAMPLE}, in "
         f"pixels of your images, or pass --camera F.toml or another program's YAML or JSON{_perhaps(folder)}"

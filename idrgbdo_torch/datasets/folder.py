@@ -23,7 +23,7 @@ DEPTH_SCALE = 1000.0  # millimetres
 
 def recognise(path: Path) -> bool:
     """Whether there is a folder for colour and one for depth, or a folder of images whose names say which they are."""
-    return all(_subfolder(path, names) is not None for names in (COLOR_FOLDERS, DEPTH_FOLDERS)) or all(_mixed(path))
+    return all(subfolder(path, names) is not None for names in (COLOR_FOLDERS, DEPTH_FOLDERS)) or all(_mixed(path))
 
 
 def read(folder: Path, options: Options) -> Recording:
@@ -31,7 +31,7 @@ def read(folder: Path, options: Options) -> Recording:
 
     Raises IdRgbdoError where images or intrinsics are missing, saying what to write.
     """
-    folders = [_subfolder(folder, names) for names in (COLOR_FOLDERS, DEPTH_FOLDERS)]
+    folders = [subfolder(folder, names) for names in (COLOR_FOLDERS, DEPTH_FOLDERS)]
     color, depth = _mixed(folder)
     where = "colour and depth side by side"
     if any(folders) or not (color and depth):
@@ -59,7 +59,8 @@ def read(folder: Path, options: Options) -> Recording:
     )
 
 
-def _subfolder(path: Path, names: tuple[str, ...]) -> Path | None:
+def subfolder(path: Path, names: tuple[str, ...]) -> Path | None:
+    """The first folder of these names; None where there is none."""
     return next((path / name for name in names if (path / name).is_dir()), None)
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..errors import IdRgbdoError
-from ..text.files import damage_named, is_plain_file, read_bytes, read_json
-from .by_name import pair_by_names
-from .calibration import Calibration, believed, find_calibration
+from ..text.files import is_named, is_plain_file, read_bytes
+from ..trajectory import Trajectory, read_tum
+from .by_name import Paired, pair_by_names
+from .calibration import Calibration, find_calibration
+from .folder import DEPTH_FOLDERS, subfolder
 from .pairing import images, reader
 from .poses import Matrix, by_frame, log_poses, reference, usable
 from .recording import Options, Recording
@@ -19,50 +21,41 @@ DEPTH_SCALE = 1000.0
 
 def recognise(path: Path) -> bool:
     """Whether images stand beside a JSON file with an intrinsic matrix, or a trajectory.log."""
-    folders = any((path / name).is_dir() for name in COLOR_FOLDERS) and (path / "depth").is_dir()
+    folders = all(subfolder(path, names) is not None for names in (COLOR_FOLDERS, DEPTH_FOLDERS))
     return folders and (_intrinsics_file(path) is not None or (path / "trajectory.log").exists())
 
 
 def read(folder: Path, options: Options) -> Recording:
     """Pair the files by their names. Raises IdRgbdoError where files are missing or cannot be read."""
-    color = next((folder / name for name in COLOR_FOLDERS if (folder / name).is_dir()), None)
-    if color is None or not (folder / "depth").is_dir():
+    color, depth = subfolder(folder, COLOR_FOLDERS), subfolder(folder, DEPTH_FOLDERS)
+    if color is None or depth is None:
         raise IdRgbdoError(f"sequence: expected color/ and depth/ in '{folder}'; put the images there")
-    intrinsics = _intrinsics_file(folder)
-    camera = read_intrinsics(intrinsics) if intrinsics else PRIMESENSE
-    calibration = find_calibration(folder, options.camera, camera)
-    of_color, of_depth = images(color), images(folder / "depth")
+    calibration = find_calibration(folder, options.camera, _intrinsics_file(folder) or PRIMESENSE)
+    of_color, of_depth = images(color), images(depth)
     if not of_color or not of_depth:
-        raise IdRgbdoError(
-            f"sequence: expected images in '{color}' and '{folder / 'depth'}', found none in one of them"
-        )
+        raise IdRgbdoError(f"sequence: expected images in '{color}' and '{depth}', found none in one of them")
     paired = pair_by_names(of_color, of_depth, folder, calibration.fps, options.association_limit_s)
-    times = {number: time for number, (time, _, _) in zip(paired.numbers, paired.frames, strict=True)}
-    logged, unread = usable(log_poses, folder / "trajectory.log", dict[int, Matrix]())
-    poses, guessed = by_frame(logged, paired.numbers, paired.all_numbers)
+    truth, doubts = _reference(folder, paired)
     return Recording(
         name=folder.resolve().name,
-        title=f"Open3D/Redwood layout, {paired.how}",
-        timestamps=list(times.values()),
+        title=f"Open3D/Redwood layout, {color.name}/ and {depth.name}/, {paired.how}",
+        timestamps=[time for time, _, _ in paired.frames],
         read=reader([(a, b) for _, a, b in paired.frames]),
         calibration=calibration,
         depth_scale=DEPTH_SCALE,
-        groundtruth=reference(times, poses),
-        warnings=(*paired.warnings, *unread, *guessed),
+        groundtruth=truth,
+        warnings=(*paired.warnings, *doubts),
     )
 
 
-def read_intrinsics(path: Path) -> Calibration:
-    """Open3D's PinholeCameraIntrinsic: width, height, intrinsic_matrix column by column.
-
-    Raises IdRgbdoError for another content.
-    """
-    advice = "write it with Open3D"
-    content = read_json(path, "camera", advice)
-    with damage_named(str(path), "width, height and an intrinsic_matrix of 9 numbers", advice):
-        K = [float(number) for number in content["intrinsic_matrix"]]
-        size = int(content["width"]), int(content["height"])
-        return believed(Calibration(K[0], K[4], K[6], K[7], width=size[0], height=size[1]), str(path))
+def _reference(folder: Path, paired: Paired) -> tuple[Trajectory | None, tuple[str, ...]]:
+    """The poses of trajectory.log, else of groundtruth.txt, and sentences where they are doubtful."""
+    if not is_named(folder / "trajectory.log"):
+        return usable(read_tum, folder / "groundtruth.txt", None)
+    times = {number: time for number, (time, _, _) in zip(paired.numbers, paired.frames, strict=True)}
+    logged, unread = usable(log_poses, folder / "trajectory.log", dict[int, Matrix]())
+    poses, guessed = by_frame(logged, paired.numbers, paired.all_numbers)
+    return reference(times, poses), (*unread, *guessed)
 
 
 def _intrinsics_file(folder: Path) -> Path | None:

@@ -201,6 +201,26 @@ def test_aligned_depth_goes_before_depth(tmp_path: Path, lists: bool, unregister
     assert sequence.warnings == []
 
 
+def test_a_folder_with_open3ds_camera_is_read_as_one_with_another(tmp_path: Path) -> None:
+    """Registered depth goes first, groundtruth.txt is read, and so is a distortion beside the matrix."""
+    folder = images(images(tmp_path / "mine"), depth="aligned_depth")
+    camera = {"width": 320, "height": 240, "intrinsic_matrix": [262.5, 0, 0, 0, 262.5, 0, 159.5, 119.5, 1]}
+    (folder / "d435.json").write_text(json.dumps({**camera, "dist_coeffs": [0.1]}))
+    (folder / "groundtruth.txt").write_text("0 0 0 0 0 0 0 1\n0.033 1 0 0 0 0 0 1\n")
+    sequence = open_sequence(folder)
+    assert sequence.recognised.startswith("Open3D/Redwood layout, color/ and aligned_depth/, paired by number")
+    frame = sequence.read(0)
+    assert isinstance(frame, RgbdFrame)
+    assert float(frame.depth.median()) == 2.5
+    assert sequence.groundtruth is not None and sequence.groundtruth.positions[:, 0].tolist() == [0, 1]
+    assert find_calibration(folder, folder / "d435.json").k1 == 0.1
+    (folder / "d435.json").write_text(json.dumps({**camera, "lens_distortion_3": [0.1]}))
+    with pytest.raises(IdRgbdoError, match="lens_distortion_3: expected distortion as k1"):
+        open_sequence(folder)
+    (folder / "camera.toml").write_text("fx = 262\nfy = 262\ncx = 159.5\ncy = 119.5\n")
+    assert open_sequence(folder).camera.fx == 262
+
+
 def test_color_txt_is_a_list(tmp_path: Path) -> None:
     folder = images(tmp_path / "mine")
     for kind in ("color", "depth"):
