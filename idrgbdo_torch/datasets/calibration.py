@@ -1,10 +1,9 @@
-"""Where a recording's camera comes from: a calibration file, or the data set in the folder's name."""
+"""A recording's camera, and the calibration file that it comes from."""
 
 from __future__ import annotations
 
 import math
 import os
-import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
@@ -188,40 +187,6 @@ class Calibration:
         return T
 
 
-BY_NAME = "camera of {}, by the folder's name"
-
-
-def _vga(origin: str, *values: float) -> Calibration:
-    """Of images of 640x480: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = [*values, 0.0, 0.0, 0.0, 0.0, 0.0][:9]
-    return Calibration(fx, fy, cx, cy, k1, k2, p1, p2, k3, width=640, height=480, origin=origin)
-
-
-# Published for the TUM RGB-D benchmark's three cameras; the third's images are already undistorted.
-TUM_CAMERAS = {
-    "1": _vga(
-        BY_NAME.format("TUM freiburg1"),
-        *(517.306408, 516.469215, 318.643040, 255.313989, 0.262383, -0.953104, -0.005358, 0.002628, 1.163314),
-    ),
-    "2": _vga(
-        BY_NAME.format("TUM freiburg2"),
-        *(520.908620, 521.007327, 325.141442, 249.701764, 0.231222, -0.784899, -0.003257, -0.000105, 0.917205),
-    ),
-    "3": _vga(BY_NAME.format("TUM freiburg3"), 535.4, 539.2, 320.1, 247.6),
-}
-BONN = _vga(
-    BY_NAME.format("Bonn's data set"),
-    *(542.822841, 542.576870, 315.593520, 237.756098, 0.039903, -0.099343, -0.000730, -0.000144),
-)
-# published with fy = -480, since its y axis points up
-ICL_NUIM = _vga("camera of ICL-NUIM", 481.2, 480.0, 319.5, 239.5)
-ICL_NUIM_NAME = r"traj\d\w*_frei_png|(^|_)(lr|of)_?kt\d|icl[-_]?nuim"
-NAMED = {
-    **{rf"(?<![a-z])(freiburg|fr){number}(?!\d)": camera for number, camera in TUM_CAMERAS.items()},
-    r"rgbd_bonn_": BONN,
-    ICL_NUIM_NAME: ICL_NUIM,
-}
-
 NAN = float("nan")
 UNSET = Calibration(NAN, NAN, NAN, NAN)
 
@@ -230,20 +195,18 @@ def find_calibration(
     folder: Path, camera: Path | None = None, default: Calibration | Path | None = None
 ) -> Calibration:
     """From the file `camera`, else the folder's camera.toml or calibration.txt, another program's calibration under a
-    usual name (camera_files.NAMES), the data set in the folder's name, `default`, which may be another file.
+    usual name (camera_files.NAMES), `default`, which may be another file.
 
     Raises IdRgbdoError where none of them is there, or the one that is cannot be read.
     """
     ours = next((folder / name for name in ("camera.toml", "calibration.txt") if os.path.lexists(folder / name)), None)
     if camera is not None or ours is not None:
         return _from_file(camera or ours or folder)
-    other = usual_file(folder)
+    other = usual_file(folder) or (default if isinstance(default, Path) else None)
     if other is not None:
         return replace(_from_file(other), origin=f"camera of {other.name}")
-    name = folder.resolve().name
-    named = next((known for pattern, known in NAMED.items() if re.search(pattern, name, re.IGNORECASE)), default)
-    if named is not None:
-        return replace(_from_file(named), origin=f"camera of {named.name}") if isinstance(named, Path) else named
+    if isinstance(default, Calibration):
+        return default
     raise IdRgbdoError(
         f"camera: unknown intrinsics for '{folder}'; write '{folder / 'camera.toml'}' with the lines {EXAMPLE}, in "
         f"pixels of your images, or pass --camera F.toml or another program's YAML or JSON{_perhaps(folder)}"

@@ -20,10 +20,11 @@ from ..errors import IdRgbdoError
 from ..text.files import damage_named, is_plain_file, read_bytes, read_text
 from ..trajectory import read_tum
 from .builder import RawPair
-from .calibration import ICL_NUIM, ICL_NUIM_NAME, Calibration, find_calibration
+from .calibration import Calibration, find_calibration
 from .images import MOST_BYTES, MOST_PIXELS, read_color
 from .pairing import FPS, numbered, reader
 from .poses import Matrix, pose_files, reference, usable
+from .published import ICL_NUIM, ICL_NUIM_NAME
 from .recording import Options, Recording
 from .tum import DEPTH_SCALE, read_associations
 

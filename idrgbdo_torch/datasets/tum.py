@@ -12,6 +12,7 @@ from .calibration import find_calibration
 from .lists import read_list, read_pairs
 from .pairing import missing_files, pair_by_time, reader, unpaired_warning
 from .poses import usable
+from .published import camera_by_name
 from .recording import Options, Recording
 
 DEPTH_SCALE = 5000.0  # depth values per metre, TUM's
@@ -52,7 +53,7 @@ def read(folder: Path, options: Options) -> Recording:
         title=f"TUM RGB-D layout{listed.said}{', aligned_depth.txt' if aligned else ''}",
         timestamps=[time for time, _, _ in listed.frames],
         read=reader([(color, depth) for _, color, depth in listed.frames]),
-        calibration=find_calibration(folder, options.camera),
+        calibration=find_calibration(folder, options.camera, camera_by_name(folder)),
         depth_scale=ALIGNED_DEPTH_SCALE if aligned else DEPTH_SCALE,
         groundtruth=truth,
         warnings=(*listed.warnings, *missing_files([(color, depth) for _, color, depth in listed.frames]), *unread),

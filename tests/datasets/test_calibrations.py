@@ -148,6 +148,14 @@ def test_intrinsics_of_another_size_are_a_warning_with_the_lines_to_write(tmp_pa
     assert open_sequence(folder).warnings == []
 
 
+def lists(folder: Path, kinds: tuple[str, ...] = ("color", "depth")) -> Path:
+    """The images as TUM lists them."""
+    for kind in kinds:
+        lines = [f"{1560000083 + number / 30:.6f} {kind}/{number}.png" for number in range(2)]
+        (folder / f"{kind}.txt").write_text("#Time Path\n" + "\n".join(lines) + "\n")
+    return folder
+
+
 def associations(folder: Path) -> Path:
     """Numbered pairs, as people write them for other programs."""
     (folder / "associations.txt").write_text("1 color/0.png 1 depth/0.png\n2 color/1.png 2 depth/1.png\n")
@@ -170,28 +178,33 @@ def test_numbered_pairs_alone_are_not_icl_nuim(tmp_path: Path) -> None:
 
 
 def test_freiburgs_cameras_are_said_and_checked_against_the_images(tmp_path: Path) -> None:
-    sequence = open_sequence(images(tmp_path / "rgbd_dataset_freiburg2_mine", (640, 480)))
+    sequence = open_sequence(lists(images(tmp_path / "rgbd_dataset_freiburg2_mine", (640, 480))))
     assert sequence.recognised.endswith("camera of TUM freiburg2, by the folder's name")
     with pytest.raises(IdRgbdoError, match=r"TUM freiburg1, by the folder's name: calibrated for 640x480"):
-        open_sequence(images(tmp_path / "my_fr1_test", (320, 240)))
+        open_sequence(lists(images(tmp_path / "my_fr1_test", (320, 240))))
     with pytest.raises(IdRgbdoError, match="unknown intrinsics"):
-        open_sequence(images(tmp_path / "fr12", (640, 480)))
+        open_sequence(lists(images(tmp_path / "fr12", (640, 480))))
     with pytest.raises(IdRgbdoError, match="unknown intrinsics"):
-        open_sequence(images(tmp_path / "wafr1", (640, 480)))
+        open_sequence(lists(images(tmp_path / "wafr1", (640, 480))))
 
 
-@pytest.mark.parametrize("lists", [True, False])
+def test_folders_without_lists_are_nobodys_by_their_name(tmp_path: Path) -> None:
+    folder = images(tmp_path / "robot_fr1", (640, 480))
+    with pytest.raises(IdRgbdoError, match=r"unknown intrinsics .*; write '.*camera\.toml'"):
+        open_sequence(folder)
+    (folder / "d435.json").write_text(FILES["open3d.json"][0].replace("320", "640").replace("240", "480"))
+    assert open_sequence(folder).recognised.endswith("camera of d435.json")
+
+
+@pytest.mark.parametrize("listed", [True, False])
 @pytest.mark.parametrize("unregistered", [True, False])
-def test_aligned_depth_goes_before_depth(tmp_path: Path, lists: bool, unregistered: bool) -> None:
+def test_aligned_depth_goes_before_depth(tmp_path: Path, listed: bool, unregistered: bool) -> None:
     """As OpenLORIS has it: color.txt, aligned_depth.txt, depth.txt."""
     folder = images(tmp_path / "cafe", depth="aligned_depth")
-    kinds = ["color", "aligned_depth", *(["depth"] if unregistered else [])]
     if unregistered:
         images(folder)
-    if lists:
-        for kind in kinds:
-            lines = [f"{1560000083 + number / 30:.6f} {kind}/{number}.png" for number in range(2)]
-            (folder / f"{kind}.txt").write_text("#Time Path\n" + "\n".join(lines) + "\n")
+    if listed:
+        lists(folder, ("color", "aligned_depth", *(["depth"] if unregistered else [])))
     (folder / "camera.toml").write_text("fx = 262\nfy = 262\ncx = 159.5\ncy = 119.5\n")
     sequence = open_sequence(folder)
     assert "aligned_depth" in sequence.recognised

@@ -13,6 +13,7 @@ import torch
 
 from idrgbdo_torch.datasets import open_sequence
 from idrgbdo_torch.datasets.calibration import Calibration, find_calibration
+from idrgbdo_torch.datasets.published import camera_by_name
 from idrgbdo_torch.datasets.rectify import Undistortion
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.frame import BrokenFrame, RgbdFrame
@@ -107,9 +108,11 @@ def test_intrinsics_come_from_the_flag_then_the_folder_then_its_name(make_record
     assert float(frame.depth.max()) == 3.0
     assert find_calibration(folder) == Calibration(60, 61, 31, 23)
     (folder / "calibration.txt").unlink()
-    assert find_calibration(folder).fx == 520.908620
+    with pytest.raises(IdRgbdoError, match="calibrated for 640x480"):  # its name's
+        open_sequence(folder)
     for name, focal in (("my_fr1_room", 517.306408), ("freiburg3_long_office", 535.4)):
-        assert find_calibration(tmp_path / name).fx == focal
+        known = camera_by_name(tmp_path / name)
+        assert known is not None and known.fx == focal
 
 
 @pytest.mark.parametrize(
