@@ -78,8 +78,11 @@ FILES: dict[str, tuple[str, dict[str, object]]] = {
         json.dumps({"w": 320, "h": 240, "dw": 192, "dh": 256, "K": COLUMNS, "fps": 60, "poses": [[0.0] * 7]}),
         {"size": (320, 240), "fps": 60.0},
     ),
-    "transforms.json": (  # instant-ngp
-        json.dumps({"fl_x": 262.5, "fl_y": 263.5, "cx": 159.5, "cy": 119.25, "w": 320, "h": 240, "scale": 0.33,
+    "colmap.json": (  # (0, 0) is the corner of the top-left pixel
+        json.dumps({"camera_model": "OPENCV", "fx": 262.5, "fy": 263.5, "cx": 160.0, "cy": 119.75}), {},
+    ),
+    "transforms.json": (  # instant-ngp, the same
+        json.dumps({"fl_x": 262.5, "fl_y": 263.5, "cx": 160.0, "cy": 119.75, "w": 320, "h": 240, "scale": 0.33,
                     "k1": 0.1, "k2": -0.2, "p1": 0.001, "p2": 0.002, "frames": []}),
         {"D": D5[:4], "size": (320, 240)},
     ),

@@ -38,6 +38,8 @@ SIZE = ("width", "height")
 SIZES = ("resolution", "image_size", "imagesize", "size")
 LEAST_SCALE = 50.0  # depth values per metre; what is called "scale" and is smaller is something else
 Levels = tuple[Mapping[str, Any], ...]  # a mapping and those around it, inner ones first
+COLMAPS = ("OPENCV", "FULL_OPENCV", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")  # nobody else has these models
+HALF = 0.5  # px, from the corner of the top-left pixel, where COLMAP and nerfstudio count from, to its centre
 COLORFUL = ("color", "colour", "rgb")
 SUFFIXES = (".yaml", ".yml", ".json", ".txt")
 NAMES = ("camera", "calibration", "calib", "intrinsics", "intrinsic", "camera_info", "camera_intrinsics", "ost", "K")
@@ -157,6 +159,8 @@ def _read(data: Mapping[str, Any]) -> dict[str, Any]:
         matrix = _intrinsics(numbers(named.get(name)))
         if "fx" not in values and matrix is not None:
             values.update(zip(("fx", "fy", "cx", "cy"), matrix, strict=True))
+    if "fl_x" in named or named.get("camera_model") in COLMAPS:
+        values.update({name: values[name] - HALF for name in ("cx", "cy") if name in values})
     scale = values.pop("depth_scale", 0.0)
     if 0 < scale < 0.1:  # metres per value, as RealSense has it
         whole = round(1.0 / scale)
