@@ -28,7 +28,7 @@ USUAL_SIZES = (
 )
 FARTHEST_RAY = 3.0  # tangent of the angle off the axis: of an image of 143 degrees
 FOLDED = 0.85  # of the way to the corner, from which on a fold is a matter of the corner alone
-FARTHEST_M = 100.0  # that a depth camera stands from its colour camera
+FARTHEST_M = 2.0  # that a depth camera stands from its colour camera; what is more is in millimetres
 LEAST_FOCAL = 1e-3  # of the image's size: an angle of view of 179.9 degrees
 MIDDLE = 0.06  # of the size, that a principal point of one of these is off at most
 
@@ -175,8 +175,13 @@ class Calibration:
                 raise IdRgbdoError("camera: depth.T_color_depth: expected 3 or 4 rows of 4 numbers; correct it")
             T[: len(rows)] = rows
         R = T[:3, :3]
+        if np.isfinite(T).all() and np.abs(T[:3, 3]).max() > FARTHEST_M:
+            raise IdRgbdoError(
+                f"camera: depth.T_color_depth: expected a translation in metres, of at most {FARTHEST_M:g}, got "
+                f"{', '.join(f'{value:g}' for value in T[:3, 3])}; divide it by 1000 where it is in millimetres"
+            )
         if (
-            np.abs(T).max() > FARTHEST_M
+            not np.abs(T).max() <= FARTHEST_M  # nor NaN
             or not np.allclose(R @ R.T, np.eye(3), atol=1e-3)
             or np.linalg.det(R) < 0
             or tuple(T[3]) != (0, 0, 0, 1)

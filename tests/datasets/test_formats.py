@@ -208,6 +208,10 @@ def test_cameras_in_one_place_are_registered_by_a_map() -> None:
     [
         ("[depth]\nfx = 500", "[depth]: expected fx, fy, cx and cy"),
         ("[depth]\nfx=9\nfy=9\ncx=9\ncy=9\nT_color_depth=[[1,0,0]]", "expected 3 or 4 rows of 4"),
+        (
+            "[depth]\nfx=9\nfy=9\ncx=9\ncy=9\nT_color_depth=[[1,0,0,-32.0],[0,1,0,-2.1],[0,0,1,4]]",
+            "expected a translation in metres, of at most 2, got -32, -2.1, 4; divide it by 1000",
+        ),
         ("[depth]\nfx=9\nfy=9\ncx=9\ncy=9\nT_color_depth=[[2,0,0,0],[0,1,0,0],[0,0,1,0]]", "expected a rotation"),
     ],
 )
