@@ -17,7 +17,7 @@ from ..errors import IdRgbdoError
 from ..text.files import MOST_JSON, damage_named, is_named, parse_json, parse_toml, read_text
 from ..text.plain import shown
 from .camera_words import by_name, number, numbers
-from .distortion import ORDER, read_distortion
+from .distortion import ORDER, lists_distortion, read_distortion
 from .yaml_text import parse_yaml
 
 MATRICES = (
@@ -76,8 +76,10 @@ def _values(path: Path, text: str, where: str) -> dict[str, Any]:
 
 
 def _toml(text: str, where: str) -> dict[str, Any]:
-    """Our own file. Capitals and numbers in quotes are forgiven."""
-    return _lower(parse_toml(text, where))
+    """Our own file. Capitals, numbers in quotes and the distortion as a list or a table are forgiven."""
+    values = _lower(parse_toml(text, where))
+    others = {key: value for key, value in values.items() if not lists_distortion(key)}
+    return {**others, **_distortion((values,), "", where)} if others != values else values
 
 
 def _lower(data: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ F = {"fx": 262.5, "fy": 263.5, "cx": 159.5, "cy": 119.25}
 K = [[262.5, 0, 159.5], [0, 263.5, 119.25], [0, 0, 1]]
 D = [0.1, -0.2, 0.001, 0.002, 0.05]
 NAMED = dict(zip(("k1", "k2", "p1", "p2", "k3"), D, strict=True))
+LINES = "\n".join(f"{name} = {value}" for name, value in NAMED.items())
 VINS = """%YAML:1.0
 ---
 model_type: PINHOLE
@@ -85,6 +86,16 @@ def test_a_distortion_is_read(content: dict[str, Any] | str, tmp_path: Path) -> 
 
 def test_one_coefficient_without_a_number_is_the_first_radial_one(tmp_path: Path) -> None:
     assert read(tmp_path, {"model": "SIMPLE_RADIAL", **F, "k": 0.1})[:2] == (0.1, 0)
+
+
+@pytest.mark.parametrize("text", [f"distortion = {D}", f"dist_coeffs = {D}", "[distortion]\n" + LINES])
+def test_a_list_in_our_own_file_is_read(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "camera.toml"
+    path.write_text("fx = 262.5\nfy = 263.5\ncx = 159.5\ncy = 119.25\n" + text)
+    assert find_calibration(tmp_path).distortion == (*D, 0, 0, 0)
+    path.write_text("k1 = 0.3\n" + path.read_text())
+    with pytest.raises(IdRgbdoError, match=r"expected one distortion, got dist.* and k1"):
+        find_calibration(tmp_path)
 
 
 @pytest.mark.parametrize(
