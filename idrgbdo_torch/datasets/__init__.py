@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Protocol
 
 from ..definitions.camera import Pinhole
+from ..definitions.given import given_path
 from ..frame import BrokenFrame, RgbdFrame
 from ..trajectory import Trajectory
 from .formats import FORMATS, guess, read_recording
@@ -37,7 +38,10 @@ class RgbdSequence(Protocol):
     def __iter__(self) -> Iterator[RgbdFrame | BrokenFrame]: ...
 
     def __getitem__(self, index: int) -> RgbdFrame | BrokenFrame:
-        """One frame by its number, negative ones from the end. Raises IndexError after the last."""
+        """One frame by its number, negative ones from the end.
+
+        Raises IndexError after the last, IdRgbdoError for a slice or what else is no number.
+        """
 
     def read(self, index: int) -> RgbdFrame | BrokenFrame:
         """One frame, decoded now."""
@@ -69,9 +73,10 @@ def open_sequence(
     options = Options(
         camera, associations, depth_scale, association_limit_s, color_topic, depth_topic, start, every, max_frames
     )
-    if format is None and is_realsense(Path(path)):
-        return RealSenseRecording(Path(path), options)
-    return _recorded(Path(path), options, format)
+    where = given_path("path", path)
+    if format is None and is_realsense(where):
+        return RealSenseRecording(where, options)
+    return _recorded(where, options, format)
 
 
 def _recorded(path: Path, options: Options, format: str | None) -> RecordedSequence:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..definitions.camera import Pinhole
+from ..definitions.given import place
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from ..tracker.open3d_loader import load_open3d
@@ -73,7 +74,7 @@ class RealSenseRecording:
 
     def __getitem__(self, index: int) -> RgbdFrame | BrokenFrame:
         """Frame number `index`, from the end where it is negative."""
-        return self.read(range(len(self))[index])
+        return self.read(place(index, len(self)))
 
     def read(self, index: int) -> RgbdFrame | BrokenFrame:
         """Frame number `index`, which must be the next one; a BrokenFrame after the end.

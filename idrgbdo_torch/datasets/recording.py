@@ -11,6 +11,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ..definitions.camera import Pinhole
+from ..definitions.given import place
 from ..errors import IdRgbdoError
 from ..frame import BrokenFrame, RgbdFrame
 from ..trajectory import Trajectory
@@ -141,7 +142,7 @@ class RecordedSequence:
 
     def __getitem__(self, index: int) -> RgbdFrame | BrokenFrame:
         """Frame number `index`, from the end where it is negative, so that a torch DataLoader takes a sequence."""
-        return self.read(range(len(self))[index])
+        return self.read(place(index, len(self)))
 
     def __reduce__(self) -> tuple[Callable[..., RecordedSequence], tuple[object, ...]]:
         """Pickled as what it was opened from, and opened anew: readers of bags share no file between processes."""

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import operator
+import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -73,6 +76,28 @@ def number(name: str, given: object, unit: str) -> float:
         shown = f"{given}" if isinstance(given, float) else type(given).__name__
         raise IdRgbdoError(f"{name}: expected {unit}, a finite number, got {shown}; change it")
     return value
+
+
+def place(index: object, count: int) -> int:
+    """The place among `count` frames of a caller's index, counted from the end where it is negative.
+
+    Raises IndexError after the last, as loops expect, and IdRgbdoError for what is no whole number, slices included.
+    """
+    try:
+        whole = operator.index(index)  # type: ignore[arg-type]
+    except TypeError as error:
+        raise IdRgbdoError(
+            f"frame: expected the number of one frame, got {type(index).__name__}; take several one by one, or open "
+            "the recording with start, every and max_frames"
+        ) from error
+    return range(count)[whole]
+
+
+def given_path(name: str, given: object) -> Path:
+    """A caller's path. Raises IdRgbdoError for what is neither text nor a pathlib.Path."""
+    if isinstance(given, str | os.PathLike) and isinstance(os.fspath(given), str):
+        return Path(given)
+    raise IdRgbdoError(f"{name}: expected text or a pathlib.Path, got {type(given).__name__}; pass one of them")
 
 
 def rigid(name: str, given: object) -> Tensor:

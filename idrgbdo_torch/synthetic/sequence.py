@@ -57,7 +57,9 @@ class RenderedSequence:
 
     def __getitem__(self, index: int) -> RgbdFrame:
         """Frame number `index`, from the end where it is negative."""
-        return self.read(range(len(self))[index])
+        from ..definitions.given import place
+
+        return self.read(place(index, len(self)))
 
     def read(self, index: int) -> RgbdFrame:
         """Frame `index`, rendered now; the same as reading it back from write_tum's folder."""

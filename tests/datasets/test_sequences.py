@@ -5,12 +5,13 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from idrgbdo_torch import RgbdFrame, open_sequence
+from idrgbdo_torch import IdRgbdoError, RgbdFrame, open_sequence
 from idrgbdo_torch.synthetic import RenderedSequence, SynthConfig
 
 
@@ -26,6 +27,19 @@ def test_a_sequence_has_length_and_index_and_survives_pickling(make_recording: C
     assert copy.timestamps == sequence.timestamps and copy.camera == sequence.camera
     ours, theirs = sequence[1], copy[1]
     assert isinstance(ours, RgbdFrame) and torch.equal(ours.gray, theirs.gray) and torch.equal(ours.depth, theirs.depth)
+
+
+@pytest.mark.parametrize("index", [slice(0, 3), "0", 1.0, None])
+def test_what_is_no_number_of_a_frame_is_one_line(make_recording: Callable[..., Path], index: Any) -> None:
+    for sequence in (open_sequence(make_recording(frames=2)), RenderedSequence(SynthConfig(frames=2))):
+        with pytest.raises(IdRgbdoError, match=r"frame: expected the number of one frame, got .*; take several one by"):
+            sequence[index]
+
+
+@pytest.mark.parametrize("path", [None, 123, b"/tmp", ["/tmp"]])
+def test_what_is_no_path_is_one_line(path: Any) -> None:
+    with pytest.raises(IdRgbdoError, match=r"path: expected text or a pathlib\.Path, got"):
+        open_sequence(path)
 
 
 @pytest.mark.parametrize("context", ["fork", "spawn"])
