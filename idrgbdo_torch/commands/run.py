@@ -58,6 +58,7 @@ def run(command: RunCommand) -> int:
 
 def _run_one(command: RunCommand, path: Path) -> int:
     """Track a recording, with all that can go along."""
+    from ..export.bag import check_place
     from ..export.tracked import load_run, trusted
     from ..report.viewer import open_viewer
     from ..runs.folder import default_folder
@@ -69,6 +70,8 @@ def _run_one(command: RunCommand, path: Path) -> int:
     sequence, extras = open_input(path, command.input), command.extras
     print("reading", plain(sequence.recognised), flush=True)
     out = command.out
+    if extras.odom_bag:
+        check_place(extras.odom_bag, option="odom_bag")
     if extras.odom_bag and out is None:
         newest = (Path("runs") / sequence.name / "latest").resolve()
         out = newest if command.resume else default_folder(sequence.name, datetime.now())

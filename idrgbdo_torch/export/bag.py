@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 from collections.abc import Collection, Sequence
@@ -13,7 +14,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..datasets.bag_files import damage
 from ..errors import IdRgbdoError
+from ..text.files import is_plain_file
 from ..trajectory import quaternion_from_rotation
 from .axes import R_BODY_OPTICAL, Axes, Motion, in_axes, motion_of
 from .tracked import TrackedRun
@@ -47,21 +50,16 @@ def write_bag(
 ) -> None:
     """Write the frames' poses. A path that ends in .mcap becomes that one file, any other of ROS 2 a folder.
 
-    version: 1 or 2, of ROS. believed: frames that a velocity may begin at. What is there already is replaced.
-    Raises IdRgbdoError without rosbags, or where the recording cannot be written.
+    version: 1 or 2, of ROS. believed: frames that a velocity may begin at. What was written there before is replaced.
+    Raises IdRgbdoError as check_place, or where the recording cannot be written.
     """
-    try:
-        from rosbags.rosbag1 import Writer as Writer1
-        from rosbags.rosbag2 import StoragePlugin
-        from rosbags.rosbag2 import Writer as Writer2
-    except ImportError as error:
-        raise IdRgbdoError(
-            f'{path}: writing ROS recordings needs rosbags ({error}); run `pip install "idrgbdo_torch[ros]"`'
-        ) from error
+    check_place(path, names)
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_dir() and not (path / "metadata.yaml").is_file() and any(path.iterdir()):
-            raise IdRgbdoError(f"out: '{path}' is a folder that is no recording; pass another --out")
         with tempfile.TemporaryDirectory(dir=path.parent) as part:
             whole = Path(part) / path.name
             made: Any = Writer1(whole) if version == 1 else Writer2(whole, version=9, storage_plugin=StoragePlugin.MCAP)
@@ -76,13 +74,56 @@ def write_bag(
         raise IdRgbdoError(f"out: cannot write '{path}': {error.strerror}; pass another --out") from error
 
 
+def check_place(path: Path, names: Names | None = None, option: str = "out") -> None:
+    """Find out, before any work is done, whether write_bag may write there.
+
+    option: by which the path was given. Raises IdRgbdoError without rosbags, and where something lies that write_bag
+    did not write: a recording of a camera, say.
+    """
+    try:
+        import rosbags.rosbag1
+        import rosbags.rosbag2  # noqa: F401
+    except ImportError as error:
+        raise IdRgbdoError(
+            f'{path}: writing ROS recordings needs rosbags ({error}); run `pip install "idrgbdo_torch[ros]"`'
+        ) from error
+    if os.path.lexists(path) and not _is_own(path, names or Names()):
+        flag = option.replace("_", "-")
+        raise IdRgbdoError(
+            f"{option}: expected a new path, or poses that were written before, got '{path}' with something else; "
+            f"pass another --{flag}"
+        )
+
+
+def _is_own(path: Path, names: Names) -> bool:
+    """Whether there is what write_bag writes and nothing besides: its three topics, the whole path in one message."""
+    from rosbags.highlevel import AnyReader, AnyReaderError
+
+    unreadable: tuple[type[Exception], ...] = (AnyReaderError, *damage())
+    try:
+        files = list(path.iterdir()) if path.is_dir() else [path]
+        if not files:
+            return True
+        if not all(is_plain_file(file) and file.name.endswith((".bag", ".mcap", "metadata.yaml")) for file in files):
+            return False
+        with AnyReader([path]) as reader:
+            found = {name: topic.msgtype for name, topic in reader.topics.items()}
+            return found == _topics(names) and reader.topics[names.path].msgcount == 1
+    except unreadable:  # so it is not ours
+        return False
+
+
+def _topics(names: Names) -> dict[str, str]:
+    """The types of all topics that are written."""
+    return {names.path: PATH, names.odometry: ODOMETRY, "/tf": TF}
+
+
 def _fill(
     writer: Any, messages: _Messages, run: TrackedRun, frames: Sequence[int], believed: Collection[int], names: Names
 ) -> None:
     """All messages in the order of time; the path, whole, with the first of them, so that a viewer shows it at once."""
     connections = {
-        topic: writer.add_connection(topic, kind, typestore=messages.store)
-        for topic, kind in ((names.path, PATH), (names.odometry, ODOMETRY), ("/tf", TF))
+        topic: writer.add_connection(topic, kind, typestore=messages.store) for topic, kind in _topics(names).items()
     }
     motions = [in_axes(motion_of(run, number, believed), names.axes) for number in frames]
     stamps = [round(float(run.times[number]) * 1e6) * 1000 for number in frames]

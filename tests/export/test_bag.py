@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import bag_writer
 import numpy as np
 import pytest
 import torch
+from rendered import Film
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
@@ -132,10 +134,36 @@ def test_a_folder_of_ros_2_is_replaced_and_another_is_not(tracked: Path, tmp_pat
     for _ in range(2):
         assert main(["export", str(tracked), "--to", "ros2", "--out", str(out), "--every", "20"]) == 0
         assert len(read(out)["/odom"]) == 2 and (out / "metadata.yaml").exists()
+    for _ in range(2):  # of ROS 1, a file
+        assert main(["export", str(tracked), "--to", "ros1", "--out", str(tmp_path / "p.bag")]) == 0
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("mine")
     assert main(["export", str(tracked), "--to", "ros2", "--out", str(tmp_path / "mine")]) == 1
     assert (tmp_path / "mine" / "notes.txt").exists()
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_recording_of_a_camera_is_never_replaced(
+    tracked: Path, desk: Film, tmp_path: Path, version: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    camera = bag_writer.write_bag(Film(desk.frames[:3], desk.groundtruth), tmp_path / f"c{SUFFIX[version]}", version)
+    before = {file: file.read_bytes() for file in ([camera] if camera.is_file() else camera.iterdir())}
+    places = [camera, *(file for file in before if file.suffix == ".mcap")]
+    for place in places:  # the folder of ROS 2, and the file in it
+        run = ["run", str(tracked.parent / "film"), "--out", str(tmp_path / "run"), "--odom-bag", str(place)]
+        assert main(run) == 1 and not (tmp_path / "run").exists()  # before anything was tracked
+        assert main(["export", str(tracked), "--to", f"ros{version}", "--out", str(place)]) == 1
+        errors = capsys.readouterr().err.splitlines()
+        assert len(errors) == 2 and errors[0].startswith("error: odom_bag: expected a new path")
+    assert {file: file.read_bytes() for file in before} == before
+
+
+def test_what_a_user_put_beside_the_poses_stays(tracked: Path, tmp_path: Path) -> None:
+    export = ["export", str(tracked), "--to", "ros2", "--out", str(tmp_path / "poses")]
+    assert main(export) == 0
+    (tmp_path / "poses" / "notes.txt").write_text("mine")
+    assert main(export) == 1
+    assert (tmp_path / "poses" / "notes.txt").exists()
 
 
 def test_the_axes_of_a_body_are_a_rotation() -> None:
