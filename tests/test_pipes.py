@@ -16,7 +16,8 @@ from idrgbdo_torch.datasets import open_sequence
 from idrgbdo_torch.download.fetch import check_sum, fetch, sha256_of
 from idrgbdo_torch.errors import IdRgbdoError
 from idrgbdo_torch.frame import RgbdFrame
-from idrgbdo_torch.runs.folder import OWN_FILES, RunFolder
+from idrgbdo_torch.runs.folder import RunFolder
+from idrgbdo_torch.runs.own import FILES
 
 BESIDE = (
     *("a.bag", "a.mcap", "a.db3", "a.bag.zstd", "a.mcap.zstd", "a.r3d", "metadata.yaml", "metadata", "metadata.json"),
@@ -59,8 +60,10 @@ def test_a_pipe_among_the_files_of_a_recording_costs_itself(tmp_path: Path) -> N
     assert any("'before.db3': it is a pipe" in warning.replace("[Errno 22] ", "") for warning in sequence.warnings)
 
 
-@pytest.mark.parametrize("name", [*OWN_FILES, "frames.csv.part", "config.toml.part", "summary.json.part"])
+@pytest.mark.parametrize("name", [*FILES, "frames.csv.part", "config.toml.part", "summary.json.part"])
 def test_no_pipe_in_a_run_folder_is_waited_for(name: str, tmp_path: Path) -> None:
+    (tmp_path / "frames.csv").touch()  # of a run
+    (tmp_path / name).unlink(missing_ok=True)
     os.mkfifo(tmp_path / name)
     with limits(10), suppress(IdRgbdoError), RunFolder(tmp_path) as run:
         run.append(record(0))

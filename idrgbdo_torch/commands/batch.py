@@ -78,6 +78,7 @@ def run_many(command: RunCommand, paths: Sequence[Path]) -> int:
             raise IdRgbdoError(f"{name}: is for one recording; leave it out, and see idrgbdo export for each run")
     out = (command.out or OUT).absolute()
     names = distinct_names(paths)
+    _refuse_others(out)
     episodes = [
         Episode(path.absolute(), out / name, absolute(command.input), command.settings, command.map, command.figures)
         for path, name in zip(paths, names, strict=True)
@@ -142,6 +143,19 @@ def _forget_what_is_gone(tasks: Mapping[str, Episode], path: Path) -> None:
     for key, result in read_results(path).items():
         if key in tasks and not result.get("error") and not (tasks[key].folder / "summary.json").exists():
             append_result(path, {"key": key, "error": "its folder is gone"})
+
+
+def _refuse_others(out: Path) -> None:
+    """Raises IdRgbdoError where a folder has files of the names of a batch that no batch wrote."""
+    from ..experiments.sweep import read_results
+    from ..report.batch_page import to_csv
+    from ..runs.own import refuse_any
+    from ..text.files import read_text
+
+    found = [path for name in (RESULTS, TABLE, PAGE) if (path := out / name).exists()]
+    own_table = out / TABLE in found and read_text(out / TABLE, "out").startswith(to_csv([]))
+    if not own_table and not read_results(out / RESULTS):
+        refuse_any(out, found, "batch")
 
 
 def absolute(options: Input) -> Input:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ..comparison.methods import Method
 
 
+WRITTEN = (".md", ".csv", ".json", ".tex", ".svg", ".pdf")
 _imported: dict[Path, str] = {}  # SHA-256 of the files of --add that this process has imported
 
 
@@ -67,6 +68,7 @@ def compare(command: CompareCommand) -> int:
     frames = (command.start, command.every, command.max_frames)
     reading = (command.format, command.camera, command.depth_scale)
     sources = [Source(folder, *frames, *reading) for folder in command.sequences]
+    _refuse_others(command.out)
     with _progress_bar() as on_progress:
         comparison = compare_methods(
             chosen,
@@ -92,6 +94,17 @@ def compare(command: CompareCommand) -> int:
     show_table("results", [("in", str(command.out)), *without])
     answer(folder=command.out, figures=figures, **json.loads(to_json(comparison)))
     return 0
+
+
+def _refuse_others(out: Path) -> None:
+    """Raises IdRgbdoError where a folder has files of the names of a comparison that no comparison wrote."""
+    from ..comparison.outcome import RESULTS, read_outcomes
+    from ..runs.own import refuse_any
+
+    found = [*out.glob(RESULTS), *out.glob("report.html")]
+    found += [path for path in out.glob("comparison.*") if path.suffix in WRITTEN]
+    if not read_outcomes(out):
+        refuse_any(out, found, "comparison")
 
 
 def known_methods(add: Path | None) -> dict[str, Method]:

@@ -155,29 +155,27 @@ def do(
     checkpoints = Checkpoints(path, job.identity(), [Glimpse]) if kept else None
     count_statuses = status_counter()
     session = Session(path, method, records, sequence.groundtruth)
-    folder = RunFolder(path, configfile.dump(job.config), resumed=bool(resume))
+    folder = RunFolder(path, configfile.dump(job.config), bool(resume), job.reading)
     with folder:
-        if job.reading:
-            job.reading.remember(path)
         with _watched(job, terminal) as (stopped, advance):
             for record in records:
                 folder.append(record)
                 advance(count_statuses(record))
-            if checkpoints:
+            if checkpoints and records:
                 checkpoints.offer(state, now=True)
 
             def on_record(record: Record) -> None:
                 folder.append(record)
                 state.camera.look(record, method)
                 advance(count_statuses(record))
-                if checkpoints:
-                    checkpoints.offer(state)
+                if checkpoints:  # with the first frame too: the checkpoint of an earlier run has gone by then
+                    checkpoints.offer(state, now=len(state.records) == 1)
 
             frames: Frames = watch(_until(stopped, _from(sequence, done_before)), method, glimpses, done_before)
             for observer in observers:
                 frames = observer.stream(frames, session)
             done = odometry.run(method, frames, on_record, records)
-            if checkpoints:  # an interrupted run goes on here; a finished one drops it at the end
+            if checkpoints and done.records:  # an interrupted run goes on here; a finished one drops it at the end
                 checkpoints.offer(state, now=True)
             evaluation, rows = _evaluated(done, method, sequence.groundtruth)
             seen = state.camera.estimate(sequence.camera)
@@ -191,7 +189,7 @@ def do(
             write_whole(path / "report.html", page)
         for observer in observers:
             observer.finish(done, evaluation, session)
-    if checkpoints and not stopped:
+    if checkpoints and done.records and not stopped:
         checkpoints.remove()
     problem = checkpoints.problem if checkpoints else ""
     return Tracked(done, evaluation, summary, rows, bool(stopped), checkpoints is not None, problem)

@@ -122,7 +122,8 @@ def compare(
 
             answer = run_apart(method, seed, source, out / outcome.folder, on_frame)
             known = replace(outcome, error=answer) if isinstance(answer, str) else replace(outcome, **answer)
-            stamp(out / known.folder, known)
+            if not known.error:  # else what is there may be of an earlier run, or of nobody
+                stamp(out / known.folder, known)
             append_outcome(out, known)
         wanted.append(known)
     for outcome in outside:

@@ -35,12 +35,8 @@ def draw_frames(
     """The frames, unchanged; the first keyframes and every 50th frame leave folder/frame_000050.png.
 
     records: grows by one with every frame that was tracked. A picture is drawn when the next frame is asked for, which
-    is outside the clock of track(). Pictures of an earlier run there are removed, unless it is continued: then records
-    holds what was tracked already.
+    is outside the clock of track().
     """
-    if not records:
-        for old in folder.glob("frame_*.png"):
-            old.unlink()
     keyframes = sum(record.result.keyframe for record in records)
     for number, frame in enumerate(frames, start=len(records)):
         yield frame

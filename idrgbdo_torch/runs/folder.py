@@ -28,7 +28,9 @@ from ..tracker.mapping import ply_bytes
 from ..trajectory import TUM_HEADER, Trajectory, in_time, nearest, read_tum, tum_line, tum_text
 from . import certainty
 from .machine import machine_name
-from .writing import Lines, lock, write_whole
+from .own import clear, found, refuse_others
+from .source import Reading
+from .writing import Lines, cannot_write, lock, write_whole
 
 DEGREES_OF_FREEDOM = ("vx", "vy", "vz", "wx", "wy", "wz")
 UPPER = [(row, column) for row in range(6) for column in range(row, 6)]
@@ -39,7 +41,7 @@ COLUMNS = (
     *(f"information_{DEGREES_OF_FREEDOM[row]}_{DEGREES_OF_FREEDOM[column]}" for row, column in UPPER),
     *certainty.COLUMNS,
 )
-OWN_FILES = ("trajectory.txt", "trajectory_refined.txt", "keyframes.txt", "frames.csv", "config.toml", "summary.json")
+HEADINGS = {"frames.csv": ",".join(COLUMNS) + "\n", "trajectory.txt": TUM_HEADER, "keyframes.txt": TUM_HEADER}
 
 
 class RunFolder:
@@ -49,29 +51,46 @@ class RunFolder:
     files or in none.
     """
 
-    def __init__(self, path: Path, config_toml: str = "", resumed: bool = False) -> None:
-        """Make the folder, with the resolved configuration in it; what an earlier run left there goes.
+    def __init__(
+        self, path: Path, config_toml: str = "", resumed: bool = False, reading: Reading | None = None
+    ) -> None:
+        """Make the folder. What an earlier run left there goes with the first frame, not before.
 
-        resumed: the earlier run is continued, so its checkpoint and its figures stay.
-        Raises IdRgbdoError where the folder cannot be written, or another run is writing to it.
+        config_toml, reading: what it leaves of settings and recording. resumed: the earlier run is continued, so its
+        checkpoint and its figures stay.
+        Raises IdRgbdoError where the folder cannot be written, has others' files that a run would replace, or another
+        run is writing to it.
         """
         self.path = path
         self._certainty = certainty.Certainty()
+        self._config_toml, self._resumed, self._reading = config_toml, resumed, reading
+        self._begun = False
+        self._files: list[Lines] = []
         try:
             path.mkdir(parents=True, exist_ok=True)
+            if not resumed:
+                refuse_others(path)
             self._lock = lock(path)
-            _clear(path, resumed)
-            write_whole(path / "config.toml", config_toml)
-            self._trajectory, self._keyframes, self._frames = self._files = [
-                Lines(path / name) for name in ("trajectory.txt", "keyframes.txt", "frames.csv")
-            ]
+            self._earlier = bool(found(path))
         except OSError as error:
-            raise IdRgbdoError(
-                f"out: cannot write '{error.filename or path}': {error.strerror}; pass another --out"
-            ) from error
-        self._trajectory.append(TUM_HEADER)
-        self._keyframes.append(TUM_HEADER)
-        self._frames.append(_csv_line(COLUMNS))
+            raise cannot_write(Path(error.filename or path), error) from error
+
+    def _begin(self) -> None:
+        """Put this run's files in the place of an earlier one's; first what marks the folder as that of a run."""
+        for file in self._files:  # what did not fit before
+            file.close()
+        try:
+            clear(self.path, self._resumed)
+            self._files = [Lines(self.path / name) for name in HEADINGS]
+        except OSError as error:
+            raise cannot_write(Path(error.filename or self.path), error) from error
+        for file, heading in zip(self._files, HEADINGS.values(), strict=True):
+            file.append(heading)
+        self._frames, self._trajectory, self._keyframes = self._files
+        write_whole(self.path / "config.toml", self._config_toml)
+        if self._reading:
+            self._reading.remember(self.path)
+        self._begun = True
 
     def __enter__(self) -> Self:
         return self
@@ -85,6 +104,8 @@ class RunFolder:
 
     def append(self, record: Record) -> None:
         """Write one frame, handed to the system at once. Raises IdRgbdoError where it does not fit."""
+        if not self._begun:
+            self._begin()
         line = tum_line(record.timestamp, record.result.T_world_cam)
         sizes = [file.size for file in self._files]
         try:
@@ -103,8 +124,14 @@ class RunFolder:
     ) -> dict[str, Any]:  # fmt: skip
         """Write the refined trajectory and keyframes, the map where there is one, and the summary; returns the latter.
 
-        trajectory_refined.txt is only written where the odometry changed a pose after its frame.
+        trajectory_refined.txt is only written where the odometry changed a pose after its frame. A run without a frame
+        leaves the results of an earlier one as they are.
         """
+        summary = summarise(run, evaluation) | ({"camera": camera.as_dict()} if camera else {})
+        if not self._begun:
+            if self._earlier:
+                return summary
+            self._begin()
         refined = odometry.trajectory()
         if is_refined(refined, run):
             write_whole(self.path / "trajectory_refined.txt", tum_text(refined))
@@ -115,7 +142,6 @@ class RunFolder:
         if with_map and isinstance(odometry, Inspectable):
             for segment, cloud in odometry.maps().items():
                 write_whole(self.path / map_name(segment), ply_bytes(cloud))
-        summary = summarise(run, evaluation) | ({"camera": camera.as_dict()} if camera else {})
         write_whole(self.path / "summary.json", json.dumps(summary, indent=2) + "\n")
         return summary
 
@@ -123,21 +149,6 @@ class RunFolder:
 def map_name(segment: int) -> str:
     """The file of a segment's points; the first one's is the map."""
     return f"map_segment_{segment}.ply" if segment else "map.ply"
-
-
-def _clear(path: Path, resumed: bool) -> None:
-    """Remove what an earlier run left. Raises OSError where a folder stands in the place of a file."""
-    checkpoint = () if resumed else ("checkpoint.bin",)
-    for name in (*OWN_FILES, "map.ply", "mesh.ply", "report.html", "outcome.json", *checkpoint):
-        (path / name).unlink(missing_ok=True)
-    for left in (*path.glob("*.part"), *path.glob("map_segment_*.ply")):
-        left.unlink(missing_ok=True)
-    if not resumed:
-        for left in path.glob("checkpoint_rows_*.bin"):
-            left.unlink(missing_ok=True)
-        for name in ("trajectory.png", "frame_*.png"):
-            for picture in (path / "figures").glob(name):
-                picture.unlink(missing_ok=True)
 
 
 def believable(trajectory: Trajectory, run: Run) -> Trajectory:

@@ -94,6 +94,16 @@ def test_what_is_for_one_recording_is_refused_for_several(episodes: Path, capsys
     assert "odom_bag: is for one recording" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("name", ["index.html", "batch.csv", "results.jsonl"])
+def test_files_that_no_batch_wrote_are_never_replaced(
+    episodes: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / name).write_text("mine\n")
+    assert main(["run", str(episodes / "*"), "--out", str(tmp_path)]) == 1
+    assert f"'{name}' that no batch wrote" in capsys.readouterr().err
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine\n"]
+
+
 def test_a_process_that_was_killed_is_followed_by_one_that_goes_on(episodes: Path, tmp_path: Path) -> None:
     path, whole, folder = episodes / "ep0", tmp_path / "whole", tmp_path / "killed"
     track_episode(Episode(path, whole, Input(), Config(), "none"))

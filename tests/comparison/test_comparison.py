@@ -215,6 +215,18 @@ def test_a_file_that_cannot_be_imported_is_one_line(
     assert str(path) in error and error.count("\n") == 1
 
 
+@pytest.mark.parametrize("name", ["report.html", "comparison.csv", "results.jsonl"])
+def test_files_that_no_comparison_wrote_are_never_replaced(
+    recording: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / name).write_text("mine\n")
+    assert main(["compare", str(recording), "--methods", "constant-velocity", "--out", str(out)]) == 1
+    assert f"'{name}' that no comparison wrote" in capsys.readouterr().err
+    assert [path.read_text() for path in out.iterdir()] == ["mine\n"]
+
+
 def test_the_methods_can_be_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", "--methods", "list"]) == 0
     assert "after ORB-SLAM2" in capsys.readouterr().out

@@ -113,7 +113,6 @@ def test_the_path_is_drawn_to_scale_with_lost_frames_in_red() -> None:
 
 
 def test_the_first_keyframes_and_every_50th_frame_are_drawn(tmp_path: Path) -> None:
-    (tmp_path / "frame_000999.png").write_text("of an earlier run")
     frames: list[RgbdFrame | BrokenFrame] = [flat_frame(index / 30) for index in range(53)]
     frames[50] = BrokenFrame(50 / 30, "torn")
     odometry, records = Pointing(), list[Record]()

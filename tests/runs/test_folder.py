@@ -135,9 +135,12 @@ def test_a_method_that_refines_nothing_gets_no_refined_file(tmp_path: Path) -> N
 
 
 def test_results_of_an_earlier_run_are_replaced_and_other_files_kept(tmp_path: Path) -> None:
+    with RunFolder(tmp_path) as folder:
+        folder.append(RUN.records[0])
     for name in ("summary.json", "map.ply", "trajectory_refined.txt", "notes.txt"):
         (tmp_path / name).write_text("old")
-    with RunFolder(tmp_path):
+    with RunFolder(tmp_path) as folder:
+        folder.append(RUN.records[0])
         assert sorted(path.name for path in tmp_path.iterdir()) == [
             *("config.toml", "frames.csv", "keyframes.txt", "notes.txt", "trajectory.txt"),
         ]

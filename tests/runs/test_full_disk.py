@@ -20,8 +20,9 @@ from run_records import RUN, record
 
 from idrgbdo_torch.commands.cli import main
 from idrgbdo_torch.errors import IdRgbdoError
-from idrgbdo_torch.odometry import ConstantVelocity
+from idrgbdo_torch.odometry import ConstantVelocity, Run
 from idrgbdo_torch.runs.folder import RunFolder, default_folder
+from idrgbdo_torch.runs.own import FILES
 from idrgbdo_torch.runs.writing import write_whole
 from idrgbdo_torch.trajectory import read_tum
 
@@ -120,19 +121,60 @@ def test_what_stands_in_the_way_is_found_before_anything_runs(
     assert not (out / "trajectory.txt").exists()
 
 
-def test_what_an_earlier_run_left_goes_at_once(tmp_path: Path) -> None:
+def test_what_an_earlier_run_left_goes_with_the_first_frame(tmp_path: Path) -> None:
+    with RunFolder(tmp_path) as folder:
+        folder.append(record(0))
     (tmp_path / "figures").mkdir()
     (tmp_path / "elsewhere").write_text("of the user")
     (tmp_path / "report.html").symlink_to(tmp_path / "elsewhere")
     left = ["figures/frame_000050.png", "figures/trajectory.png", "checkpoint.bin", "map.ply", "summary.json"]
-    for name in (*left, "figures/mine.png"):
+    mine = ["figures/mine.png", "figures/frame_1.png", "data.part", "map_segment_of_mine.ply"]
+    for name in (*left, *mine):
         (tmp_path / name).write_text("old")
-    RunFolder(tmp_path, resumed=True).__exit__()
+    with RunFolder(tmp_path, resumed=True) as folder:
+        folder.append(record(0))
     assert (tmp_path / "checkpoint.bin").exists() and (tmp_path / "figures" / "trajectory.png").exists()
-    RunFolder(tmp_path).__exit__()
+    (tmp_path / "map.ply").write_text("old")
+    (tmp_path / "summary.json").write_text("old")
+    with RunFolder(tmp_path) as folder:
+        assert all((tmp_path / name).exists() for name in left)
+        folder.append(record(0))
     assert not any((tmp_path / name).exists() for name in (*left, "report.html"))
-    assert (tmp_path / "figures" / "mine.png").exists()
+    assert all((tmp_path / name).exists() for name in mine)
     assert (tmp_path / "elsewhere").read_text() == "of the user"
+
+
+@pytest.mark.parametrize("name", [*FILES, "checkpoint.bin", "map_segment_1.ply", "figures/frame_000050.png"])
+def test_files_that_no_run_wrote_are_never_replaced(tmp_path: Path, name: str) -> None:
+    (tmp_path / "figures").mkdir()
+    (tmp_path / name).write_text("mine, of which there is no other copy")
+    with pytest.raises(IdRgbdoError, match=rf"out: expected a new folder, .*'{name}' that no run wrote"):
+        RunFolder(tmp_path)
+    assert (tmp_path / name).read_text() == "mine, of which there is no other copy"
+
+
+def test_a_run_that_fails_at_its_first_image_leaves_the_earlier_one(
+    make_recording: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording, out = make_recording(), tmp_path / "out"
+    assert main(["run", str(recording), "--out", str(out), "--figures"]) == 0
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+
+    def refuse(*_: object) -> None:
+        raise IdRgbdoError("depth: expected metres")
+
+    monkeypatch.setattr("idrgbdo_torch.tracker.id_rgbdo.IdRgbdo.track", refuse)
+    assert main(["run", str(recording), "--out", str(out), "--figures"]) == 1
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
+def test_a_run_without_a_frame_leaves_the_earlier_one(tmp_path: Path) -> None:
+    with RunFolder(tmp_path) as folder:
+        folder.append(record(0))
+    before = (tmp_path / "trajectory.txt").read_text()
+    with RunFolder(tmp_path) as folder:
+        folder.finish(Run("none", ()), ConstantVelocity())
+    assert (tmp_path / "trajectory.txt").read_text() == before and not (tmp_path / "summary.json").exists()
 
 
 def test_a_link_is_replaced_and_not_followed(tmp_path: Path) -> None:
