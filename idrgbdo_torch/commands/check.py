@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
+from ..errors import IdRgbdoError
 from ..text.plain import plain
 from .input import Input
 from .output import Output, answer
@@ -41,6 +42,8 @@ def check(command: CheckCommand) -> int:
     from .input import open_input
     from .track import make_odometry
 
+    if command.out and command.out.suffix.lower() != ".png":
+        raise IdRgbdoError(f"out: expected a name ending in .png, got '{command.out}'; pass another --out")
     sequence = open_input(command.sequence, command.input)
     print("reading", plain(sequence.recognised), flush=True)
     for warning in sequence.warnings:

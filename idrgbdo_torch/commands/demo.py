@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -38,6 +39,7 @@ def demo_folder() -> Path:
     folder = cache / f"demo_{DEMO.kind}_{DEMO.frames}_{__version__}"
     if not (folder / "rgb.txt").exists():
         print(f"rendering {DEMO.frames} frames of a desk into {folder} (once)", flush=True)
+        shutil.rmtree(folder, ignore_errors=True)  # what was not rendered to its end
         render(DEMO, folder)
     return folder
 

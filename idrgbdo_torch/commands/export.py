@@ -42,8 +42,8 @@ class ExportCommand:
 
 def export(command: ExportCommand) -> int:
     """Write what another tool reads, and say what was left out."""
+    from ..export.own import make_folder
     from ..export.tracked import load_run, thinned, trusted
-    from ..export.trajectories import make_folder
     from ..report.terminal import show_table
 
     run = load_run(command.run)
@@ -60,7 +60,7 @@ def export(command: ExportCommand) -> int:
             raise IdRgbdoError(f"out: '{out}' does not fit {command.to}; end it with .bag for ROS 1, .mcap for ROS 2")
         rows = [("results in", str(write_odometry(run, chosen, frames, out, command.axes)))]
     else:
-        make_folder(out)
+        make_folder(out, command.to, ours=out.resolve() == (command.run / "export" / command.to).resolve())
         if recording and command.to in WITH_IMAGES:
             frames, rows = _with_images(run, chosen, frames, recording, command.to, out)
         else:

@@ -46,7 +46,7 @@ def write_images(
 ) -> Written:
     """Write the frames' images as PNG; those of an earlier export go. Raises IdRgbdoError where that fails."""
     for kind in ("images", "depth"):
-        for old in (folder / kind).glob("frame_*.png"):
+        for old in (folder / kind).glob(f"frame_{6 * '[0-9]'}.png"):
             old.unlink()
     written = []
     for number in frames:

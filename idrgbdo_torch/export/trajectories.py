@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import IdRgbdoError
 from ..tracker.mapping import Cloud, write_ply
 from ..trajectory import Trajectory, write_tum
 from .tracked import TrackedRun
@@ -63,11 +62,3 @@ def write_frusta(path: Path, T_world_cam: NDArray[np.float64]) -> None:
     vertices = "".join(f"{x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in xyz.reshape(-1, 3).tolist())
     lines = "".join(f"{a} {b} {color}\n" for a, b in edges.tolist())
     path.write_text(header + vertices + lines, encoding="ascii")
-
-
-def make_folder(path: Path) -> None:
-    """Raises IdRgbdoError where it cannot be made."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise IdRgbdoError(f"out: cannot make '{path}': {error.strerror}; pass another --out") from error

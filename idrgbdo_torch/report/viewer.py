@@ -228,6 +228,8 @@ def _blueprint() -> Any:
 
 
 def _check_writable(path: Path) -> None:
+    if path.suffix.lower() != ".rrd":
+        raise IdRgbdoError(f"save_rrd: expected a name ending in .rrd, got '{path}'; choose another file")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(b"")

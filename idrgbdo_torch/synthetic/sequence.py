@@ -175,13 +175,11 @@ def write_tum(sequence: RenderedSequence, folder: Path, progress: Progress | Non
 
     The camera is calibration.txt, or camera.toml where it names faults.
 
-    Raises IdRgbdoError where the folder cannot be written or holds another sequence.
+    Raises IdRgbdoError where the folder cannot be written.
     """
     import cv2
 
     folder = Path(folder)
-    if (folder / "rgb.txt").exists():
-        raise IdRgbdoError(f"out: expected a new folder, got {folder} that holds a sequence; remove it or name another")
     try:
         for name in ("rgb", "depth"):
             (folder / name).mkdir(parents=True, exist_ok=True)
@@ -219,7 +217,14 @@ def write_camera(config: SynthConfig, folder: Path) -> None:
 
 
 def synth(config: SynthConfig, out: Path, progress: Progress | None = None) -> RenderedSequence:
-    """Render a sequence into a folder in TUM's layout; returns it."""
+    """Render a sequence into a new or empty folder in TUM's layout; returns it.
+
+    Raises IdRgbdoError where the folder cannot be written, or has anything in it but hidden files.
+    """
+    folder = Path(out)
+    there = [path.name for path in sorted(folder.iterdir()) if path.name[0] != "."] if folder.is_dir() else []
+    if there:
+        raise IdRgbdoError(f"out: expected a new folder, got '{folder}' with a '{there[0]}'; empty it or name another")
     sequence = RenderedSequence(config)
     write_tum(sequence, out, progress)
     return sequence

@@ -97,6 +97,21 @@ def test_a_picture_that_cannot_be_written_is_said_so(
     assert "picture:" not in output.out and "cannot write" in output.err and output.err.count("\n") == 1
 
 
+@pytest.mark.parametrize("command", [["check"], ["run", "--out", "out"]])
+def test_a_picture_or_scene_replaces_no_file_of_another_kind(
+    make_recording: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    command: list[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    recording = make_recording()
+    camera = recording / "camera.toml"
+    camera.write_text("fx = 50\nfy = 50\ncx = 31.5\ncy = 23.5\n")
+    name, *flags = command
+    assert main([name, str(recording), *flags, "--save-rrd" if flags else "--out", str(camera)]) == 1
+    assert "expected a name ending in ." in capsys.readouterr().err
+    assert camera.read_text().startswith("fx = 50")
+
+
 def test_a_film_of_a_run_ends_where_it_is_told_to(
     make_recording: Make, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -157,6 +157,10 @@ def test_depth_of_another_size_beside_colour_is_registered_as_in_a_folder(
         name = f"{START_S + index / 30:.9f}.png"
         format_writers.save(tmp_path / "take" / "rgb" / name, color)
         format_writers.save(tmp_path / "take" / "depth" / name, depth)
+    before = record.read_bytes()
+    with pytest.raises(IdRgbdoError, match="record: expected a new file"):
+        open_camera("realsense", settings=settings, device=camera.device, record=record, max_frames=10)
+    assert record.read_bytes() == before
     for path, given in ((tmp_path / "take", record.with_suffix(".toml")), (record, None)):
         recorded = open_sequence(path, camera=given)
         again = run(IdRgbdo(), recorded)

@@ -12,6 +12,9 @@ import pytest
 from rendered import Film
 
 from idrgbdo_torch.commands.cli import main
+from idrgbdo_torch.errors import IdRgbdoError
+from idrgbdo_torch.export.images import save, write_images
+from idrgbdo_torch.export.own import WRITTEN, make_folder
 from idrgbdo_torch.tracker.open3d_loader import load_open3d
 
 
@@ -78,3 +81,35 @@ def test_fewer_frames_leave_no_old_images(tracked: Path, tmp_path: Path) -> None
         assert main(["export", str(tracked), *flags]) == 0
         assert len(json.loads((out / "transforms.json").read_text())["frames"]) == count
         assert len(list((out / "images").iterdir())) == len(list((out / "depth").iterdir())) == count
+
+
+def test_what_nerfstudio_made_of_other_images_stays(
+    tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "images").mkdir()
+    for name in ("images/frame_00001.png", "transforms.json"):
+        (tmp_path / name).write_text("mine")
+    assert main(["export", str(tracked), "--to", "nerfstudio", "--out", str(tmp_path)]) == 1
+    assert "'transforms.json' that no export wrote" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["frame_00001.png", "images", "transforms.json"]
+
+
+@pytest.mark.parametrize("kind", WRITTEN)
+def test_an_export_replaces_only_what_one_of_its_kind_wrote(tmp_path: Path, kind: str) -> None:
+    make_folder(tmp_path / "new", kind)
+    for name in WRITTEN[kind]:
+        for folder in ("new", "mine"):
+            path = tmp_path / folder / name.replace("*", "file")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text("")
+    make_folder(tmp_path / "new", kind)  # as an export before has made it
+    with pytest.raises(IdRgbdoError, match="that no export wrote"):
+        make_folder(tmp_path / "mine", kind)
+    make_folder(tmp_path / "mine", kind, ours=True)  # in a run's folder, by a version that left no mark
+
+
+def test_images_of_other_names_stay(desk: Film, tmp_path: Path) -> None:
+    for name in ("frame_00001.png", "frame_000039.png"):
+        save(tmp_path / "images" / name, np.zeros((4, 4, 3), np.uint8))
+    write_images(tmp_path, [0], lambda number: desk.frames[number], False, lambda note: None)
+    assert sorted(path.name for path in (tmp_path / "images").iterdir()) == ["frame_000000.png", "frame_00001.png"]

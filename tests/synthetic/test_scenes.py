@@ -175,6 +175,10 @@ def test_frames_are_what_the_folder_holds(tmp_path: Path) -> None:
     assert float((back.depth - frame.depth).abs().max()) < 1e-6
     with pytest.raises(IdRgbdoError, match="out: expected a new folder"):
         synth(config, folder)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "camera.toml").write_text("mine")  # of a folder of images
+    with pytest.raises(IdRgbdoError, match=r"got '.*mine' with a 'camera\.toml'"):
+        synth(config, tmp_path / "mine")
 
 
 def flat(z: float = 1.0) -> Depth:

@@ -40,10 +40,13 @@ def open_camera(
     """The frames of a camera that is connected.
 
     kind: "realsense" by pyrealsense2 where that is installed, else by Open3D, as "open3d" is. camera: a file with its
-    intrinsics. record: a file for all that it gives. settings: of a RealSense; of an OAK size and rate. device: of the
-    maker's library, instead of the camera that is connected.
-    Raises IdRgbdoError where there is no camera, or it cannot be started.
+    intrinsics. record: a new file for all that it gives. settings: of a RealSense; of an OAK size and rate. device: of
+    the maker's library, instead of the camera that is connected.
+    Raises IdRgbdoError where there is no camera, it cannot be started, or a recording of that name is there.
     """
+    for path in (record, record.with_suffix(".toml")) if record else ():
+        if path.exists():
+            raise IdRgbdoError(f"record: expected a new file, got '{path}' that is there; pass another --record")
     asked = settings is not None and settings != CameraSettings()
     if kind == "realsense" and (find_spec("pyrealsense2") or device or asked):
         return LiveSequence(RealSense(settings, camera, record, device), max_frames, depth_scale)
