@@ -8,8 +8,9 @@ from pathlib import Path
 
 from ..errors import IdRgbdoError
 from .midnight import day_beside
-from .name_times import OF_DAY, Times, long_gap, set_back, tick_gap, ticks_in, times_in
+from .name_times import OF_DAY, Times, long_gap, set_back, ticks_in, times_in
 from .names import Names, numbers_in, read_names, repeated
+from .number_steps import tick_gap
 from .pairing import FPS, MOST_ALONE, alone_warning, own_counts_warning, pair_by_time, share_alone
 
 LIST = "or list the pairs, lines `time colour time depth`, and pass the list with --associations"

@@ -5,6 +5,7 @@ What cannot be read is refused: images whose distortion is taken for none are tr
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -22,9 +23,11 @@ LISTS = {  # what keys without signs between their letters call a list of coeffi
     re.compile(rf"radial(dist(ortion)?)?({_MANY})?"): RADIAL,
     re.compile(rf"tangential(dist(ortion)?)?({_MANY})?"): TANGENTIAL,
 }
+LISTS_ALONE = ("d", "d1")  # of coefficients where they are lists
 INNER = re.compile(rf"data|{_MANY}")  # in a table that is called distortion itself
-SUSPECT = re.compile(r"(?<!un)dist(?!an|r|u)|radial|tangential")  # neither distances, distributions nor disturbances
-HARMLESS = "radius"  # of the image, within which the coefficients of an Azure Kinect hold
+SUSPECT = re.compile(r"(?<!un)distort|dist_?coef|radial_?(dist|poly|coef)|tangential")  # no distances
+HARMLESS = re.compile(r"radius|error|rms|std|cov|cent|resid|mean")  # where an Azure Kinect's hold, and how well
+WRITTEN = 1e-4  # by which coefficients differ that were rounded
 OTHER_CAMERA = re.compile(r"depth|infra|(?<![a-z])ir(?![a-z])")
 MODELS = ("distortion_model", "model", "camera_model", "type", "distortion_type", "model_type", "lens_model")
 OTHER_LENSES = ("fisheye", "equidist", "kannala", "inverse", "omni", "fov", "ftheta", "f-theta", "eucm", "division")
@@ -46,13 +49,18 @@ def read_distortion(levels: Sequence[Mapping[str, Any]], name: str, where: str, 
         own = {key: value for key, value in level.items() if _is_of(key, name) and not _is_one(value, levels)}
         told += _places(by_name(own), where)
     told = [(key, some) for key, values in told if (some := {name: value for name, value in values.items() if value})]
-    other = next((key for key, values in told if values != told[0][1]), None)
+    other = next((key for key, values in told if not _same(values, told[0][1])), None)
     if other is not None:
         raise IdRgbdoError(f"{where}: expected one distortion, got {told[0][0]} and {other}; remove the wrong one")
     if not told:
         return {}
     _refuse_other_lenses(levels, where, advice)
     return told[0][1]
+
+
+def _same(one: Coefficients, other: Coefficients) -> bool:
+    """Whether two are the same but for the digits that were written."""
+    return all(math.isclose(one.get(k, 0.0), other.get(k, 0.0), rel_tol=WRITTEN, abs_tol=WRITTEN) for k in ORDER)
 
 
 def lists_distortion(key: str) -> bool:
@@ -71,7 +79,8 @@ def _is_one(value: Any, levels: Sequence[Mapping[str, Any]]) -> bool:
 
 def _k_as_k1(camera: Mapping[str, Any]) -> dict[str, Any]:
     """COLMAP's SIMPLE_RADIAL calls its one coefficient k; a list of that name is the matrix."""
-    scalar = {key for key, value in camera.items() if key.lower() == "k" and isinstance(number(value), int | float)}
+    models = " ".join(str(value) for key, value in by_name(camera).items() if key in MODELS).lower()
+    scalar = {key for key in camera if key.lower() == "k" and "radial" in models}
     return {"k1" if key in scalar else key: value for key, value in camera.items()}
 
 
@@ -90,13 +99,15 @@ def _places(data: Mapping[str, Any], where: str, table: bool = False) -> list[tu
     pieces: Coefficients = {}
     for key, value in data.items():
         order = _order(key)
+        if (key in TANGENTIAL and len(numbers(value)) == 12) or (key in LISTS_ALONE and not isinstance(value, list)):
+            continue  # the projection matrix of a stereo camera; some number that is called d
         if key in ORDER:
             pieces[key] = _coefficient(key, value, where)
         elif order == ORDER:
             lists.append((key, _under(key, value, order, where)))
         elif order is not None:
             pieces |= _under(key, value, order, where)
-        elif (table or SUSPECT.search(key)) and HARMLESS not in key and _holds_fractions(value):
+        elif (table or SUSPECT.search(key)) and not HARMLESS.search(key) and _holds_fractions(value):
             raise IdRgbdoError(
                 f"{where}: {shown(key, quoted=False)}: expected distortion as k1, k2, p1, p2, k3 or a list of them, "
                 f"got {shown(value)}; write it so, or remove it"
@@ -164,7 +175,7 @@ def _refuse_other_lenses(levels: Sequence[Mapping[str, Any]], where: str, advice
     for level in levels:
         tables = (value for key, value in level.items() if lists_distortion(key) and isinstance(value, Mapping))
         for named in map(by_name, (level, *tables)):
-            flags = [key for key, value in named.items() if value is True]  # instant-ngp's is_fisheye
+            flags = [key for key, value in named.items() if value is True and key.startswith("is_")]  # is_fisheye
             stated = " ".join([*flags, *(str(named[name]) for name in MODELS if name in named)]).lower()
             models += " " + (REALSENSE_MODELS.get(number(named.get("model")), stated) if "ppx" in named else stated)
     if any(lens in models for lens in OTHER_LENSES):

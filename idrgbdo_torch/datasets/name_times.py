@@ -15,15 +15,15 @@ from pathlib import Path
 from ..text.clock import LEAST_TICKS, NO_SECONDS, UNITS, in_seconds, unit_of
 from .midnight import over_midnight
 from .names import EPOCH_S, Names, counts, gaps, is_epoch, is_fraction, varying
+from .number_steps import are_few, steps_back, tick_gap
 
 SHORTEST_GAP_S = 2e-3  # no depth camera is faster; what counts faster is a counter
 FLOAT_DECIMALS = 7  # that a float of seconds since 1970 has
 MUCH_EVENER = 2.0  # times: what an unlikely reading of digits must gain
 SLOWEST_GAP_S = 3600.0  # of a time lapse
 CAMERA_GAPS_S = (2e-3, 1.999)  # of a camera that films; narrow enough for one unit alone to fit
-MOST_STEPS_BACK = 0.1  # of a clock that was set; against what goes back more often, it is the other that counts nothing
+MOST_BETWEEN = 3.0  # times the usual gap, from one second to the next
 FARTHEST_PICKED = 8000  # frames apart; numbers that are farther apart are ticks of a clock
-NEAR_USUAL = 0.1  # of the usual gap, by which at least half of a clock's gaps differ at most
 FRACTIONS = {3: "milliseconds", 6: "microseconds", 9: "nanoseconds"}  # by the digits of a part of a second
 OF_DAY = "time of day"  # the kind of times without a date
 DATE = re.compile(
@@ -68,22 +68,10 @@ def set_back(names: Names, times: Times) -> Path | None:
         numbers = [int(field) for field in names.columns[place]]
         if place in times.columns or is_fraction(names, place) or not counts(numbers):
             continue
-        ordered = sorted(zip(numbers, times.seconds, names.files, strict=True))
-        back = [file for (_, before, _), (_, after, file) in pairwise(ordered) if after < before]
-        if 0 < len(back) <= max(1, MOST_STEPS_BACK * len(ordered)):
-            return back[0]
+        back = steps_back(numbers, times.seconds)
+        if back and are_few(back, numbers):
+            return names.files[back[0]]
     return None
-
-
-def tick_gap(numbers: Sequence[int]) -> float | None:
-    """The usual gap of numbers that may be ticks of a clock: 8 or more, about alike, of no common stride."""
-    steps = gaps(numbers)
-    stride = math.gcd(*map(int, steps))
-    if len(steps) < 2 or min(steps) <= 0:
-        return None
-    usual = statistics.median(steps)
-    alike = sum(abs(step - usual) <= NEAR_USUAL * usual for step in steps)
-    return usual if usual >= LEAST_TICKS * stride and 2 * alike >= len(steps) else None
 
 
 def long_gap(times: Times) -> float | None:
@@ -207,10 +195,19 @@ def _seconds_and_fraction(names: Names) -> Iterator[Times]:
 
 
 def _starts_again(whole: Sequence[str], parts: Sequence[str]) -> bool:
-    """Whether one number goes on by ones, and the other one starts again meanwhile, as parts of a second do."""
+    """Whether one number goes on by ones, and the other one starts again meanwhile, as parts of a second do.
+
+    Between the last part of a second and the first one of the next no more time goes by than usual: else these are
+    numbers of frames beside those of a room or a camera.
+    """
     ordered = sorted((int(a), int(b)) for a, b in zip(whole, parts, strict=True))
-    back = any(after[1] < before[1] for before, after in pairwise(ordered))
-    return back and counts(sorted({a for a, _ in ordered}))
+    if not counts(sorted({a for a, _ in ordered})):
+        return False
+    steps = pairwise((a, a + b / 10 ** max(map(len, parts))) for a, b in ordered)
+    gaps_of = [(after[0] > before[0], after[1] - before[1]) for before, after in steps]
+    over = [gap for goes_over, gap in gaps_of if goes_over]
+    usual = statistics.median(gap for _, gap in gaps_of)
+    return bool(over) and statistics.median(over) <= MOST_BETWEEN * usual
 
 
 def _decimals(names: Names) -> Iterator[Times]:
@@ -241,18 +238,22 @@ def _are_decimals(names: Names, place: int) -> bool:
     if apart or len(digits) > 1 or min(digits) < 3:
         return False
     if len(set(before)) == 1:  # the first second, or a number of a take
-        return tick_gap([int(field) for field in part]) is not None
+        ticks, unit = tick_gap([int(field) for field in part]), FRACTIONS.get(min(digits))
+        return ticks is not None and unit is not None and in_seconds(ticks, unit) >= LEAST_TICKS / 1e3
+    if len(set(before)) < len(before):  # several frames a second, or a room
+        return _starts_again(before, part)
     return not counts([int(field) for field in before])
 
 
 def _beside_a_counter(names: Names) -> Iterator[Times]:
     """`NUMBER-MICROSECONDS`: one place counts the frames by one, another goes on at the pace of a camera's clock."""
     places = varying(names)
-    counters = [k for k in places if not is_fraction(names, k) and counts([int(field) for field in names.columns[k]])]
+    numbers = {k: [int(field) for field in names.columns[k]] for k in places if not is_fraction(names, k)}
+    counters = {k: column for k, column in numbers.items() if counts(column)}
     for place in places:
-        counted = any(k != place for k in counters)
-        clock = _clock(names, place, uneven=False) if counted else None
-        if clock is not None:
+        others = [column for k, column in counters.items() if k != place]
+        clock = _clock(names, place, uneven=False) if others else None
+        if clock and any(are_few(steps_back(column, clock.seconds), column) for column in others):
             yield clock
 
 

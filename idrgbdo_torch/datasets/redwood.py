@@ -30,7 +30,8 @@ def read(folder: Path, options: Options) -> Recording:
     color, depth = subfolder(folder, COLOR_FOLDERS), subfolder(folder, DEPTH_FOLDERS)
     if color is None or depth is None:
         raise IdRgbdoError(f"sequence: expected color/ and depth/ in '{folder}'; put the images there")
-    calibration = find_calibration(folder, options.camera, _intrinsics_file(folder) or PRIMESENSE)
+    unnamed = PRIMESENSE if depth.name == "depth" else None  # Redwood has no folder of another name
+    calibration = find_calibration(folder, options.camera, _intrinsics_file(folder) or unnamed)
     of_color, of_depth = images(color), images(depth)
     if not of_color or not of_depth:
         raise IdRgbdoError(f"sequence: expected images in '{color}' and '{depth}', found none in one of them")

@@ -49,10 +49,6 @@ class Shots:
         """How many have the camera's time of another image."""
         return self.different() - len({image.time for image in self.images})
 
-    def are_timed(self) -> bool:
-        """Whether the camera's times are a clock; one that repeats more is none."""
-        return self.repeats() <= MOST_REPEATED * self.different()
-
     def said(self) -> str:
         """How many repeat a time; nothing where none does."""
         count = self.repeats()
@@ -64,11 +60,13 @@ def in_time(
 ) -> tuple[list[tuple[float, Stamp]], list[tuple[float, Stamp]], tuple[str, ...]]:
     """Colour and depth in the order of their times (s), each time once, and what a user should know.
 
-    Both go by the recorder's clock where the headers of one are no clock, since two clocks may differ. Raises
-    IdRgbdoError where that is none either.
+    Both go by the recorder's clock where the headers of one are no clock, since two clocks may differ; but headers
+    that tell apart as many images as have a partner are one, whatever is sent twice. Raises IdRgbdoError where the
+    recorder's clock is none either.
     """
     said = [sentence for shots in (color, depth) if (sentence := shots.said())]
-    if color.are_timed() and depth.are_timed():
+    partners = min(color.different(), depth.different())
+    if partners <= (1 + MOST_REPEATED) * min(len(color.by_camera()), len(depth.by_camera())):
         first_taken = tuple(f"{sentence}; the first of equal times is taken" for sentence in dict.fromkeys(said))
         return color.by_camera(), depth.by_camera(), first_taken
     of_color, of_depth = color.by_recorder(), depth.by_recorder()

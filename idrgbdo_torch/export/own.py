@@ -29,7 +29,7 @@ def make_folder(folder: Path, kind: str, ours: bool = False) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         kinds = mark.read_text(encoding="utf-8").splitlines() if mark.is_file() else []
-        if kind in kinds:
+        if any(set(WRITTEN[kind]) <= set(WRITTEN.get(earlier, ())) for earlier in kinds):
             return
         if not ours:
             refuse_any(folder, [path for pattern in WRITTEN[kind] for path in folder.glob(pattern)], "export")

@@ -46,7 +46,7 @@ def doubtful_seconds(times: Sequence[float]) -> tuple[float, str] | None:
     gap = gaps[len(gaps) // 2]
     if gap == 1 and times[0] < 1e6:
         return gap, "numbers of frames"
-    return (gap, "milliseconds") if LEAST_TICKS <= gap < 1000 else None
+    return (gap, "milliseconds") if LEAST_TICKS <= gap < 1000 and times[0] < SINCE_1970_S[0] else None
 
 
 def in_seconds(stamp: float, unit: str) -> float:

@@ -84,6 +84,14 @@ def test_a_distortion_is_read(content: dict[str, Any] | str, tmp_path: Path) -> 
     assert read(tmp_path, content) == (*D, 0, 0, 0)
 
 
+def test_the_same_coefficients_may_be_written_twice(tmp_path: Path) -> None:
+    assert read(tmp_path, {**F, "k1": round(D[0], 5), "D": [D[0], *[0.0] * 4]})[0] == pytest.approx(D[0], abs=1e-5)
+
+
+def test_a_flag_that_is_no_lens_is_none(tmp_path: Path) -> None:
+    assert read(tmp_path, {**F, **NAMED, "wide_fov": True, "inverse_depth": True})[:4] == tuple(D[:4])
+
+
 def test_one_coefficient_without_a_number_is_the_first_radial_one(tmp_path: Path) -> None:
     assert read(tmp_path, {"model": "SIMPLE_RADIAL", **F, "k": 0.1})[:2] == (0.1, 0)
 
@@ -106,6 +114,11 @@ def test_a_list_in_our_own_file_is_read(text: str, tmp_path: Path) -> None:
         {**F, "distortion": {"k1": 0, "k2": 0}, "num_distortion_coeffs": 5, "dist_coeffs": None},
         {"rgb_undistorted": F, "undistort": 1, "depth_distortion": D},
         {"color": F, "depth": {**F, "fx": 99.5, "coeffs": D}},
+        {**F, "max_dist": 4.5, "dist_threshold": 0.07, "radial_thresh": 0.5, "baseline_dist": 0.05},
+        {**F, "distortion_error": 0.2, "rms_distortion": 0.3, "distortion_center": [0.5, 0.5]},
+        {**F, "P1": [*range(1, 13)], "P2": [[1.5, 2, 3, 4]] * 3},
+        {"color": F, "d": 1.5},
+        {"rgb": F, "D": 0.05, "k": 1.0, "wide_fov": True},
     ],
 )
 def test_none_is_read_as_none(content: dict[str, Any], tmp_path: Path) -> None:
@@ -117,7 +130,7 @@ def test_none_is_read_as_none(content: dict[str, Any], tmp_path: Path) -> None:
     [
         ({**F, "lens_distortion_poly3": [0.1, 0.2]}, "lens_distortion_poly3: expected distortion as k1, k2, p1, p2"),
         ({"camera": F, "radial_polynomial": [0.1]}, "radial_polynomial: expected distortion as k1"),
-        ({**F, "distortion_center": 0.5}, "distortion_center: expected distortion as k1"),
+        ({**F, "distortion_curve": 0.5}, "distortion_curve: expected distortion as k1"),
         ({**F, "distortion": {"k1": 0.1, "t1": 0.001}}, "t1: expected distortion as k1"),
         ({**F, "distortion": [0.1, "x"]}, r"distortion: expected numbers, got \[0\.1, 'x'\]"),
         ({**F, "distortion": "0.1 x"}, "distortion: expected numbers, got"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -163,3 +164,27 @@ def test_times_of_day_go_on_over_midnight(color: tuple[int, int], depth: tuple[i
     assert [after - before for before, after in pairwise(times)] == pytest.approx(
         [1 / 29.97] * (len(times) - 1), abs=2e-3
     )
+
+
+def disordered(k: int, most: int) -> int:
+    return 617283 * (k + 1) % most
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        lambda k: f"{k:04}_{disordered(k, 10**6)}.png",  # an id, a size in bytes, a checksum
+        lambda k: f"img{k:05}_crc{1000 + disordered(k, 8999)}.png",
+        lambda k: f"{k:05}_{18000 + round(15000 * math.sin(k / 8)) + k % 7}.png",  # an angle
+        lambda k: f"cam{k % 3}_{k:03}.png",
+        lambda k: f"grade{k * 7 % 4}_{k:03}.png",
+        lambda k: f"room{1 if k < 20 or k > 39 else 2}_{5 * k:03}.png",
+        lambda k: f"room_{1 if k < 20 or k > 39 else 2}.{50 * k:04}.png",
+        lambda k: f"take_1.{31 * k + k % 3:04}.png",
+    ],
+)
+def test_frames_stay_in_the_order_of_their_numbers_beside_others(name: Callable[[int], str]) -> None:
+    names = [name(k) for k in range(60)]
+    paired = pair(names, names)
+    assert shown(paired) == names
+    assert paired.how.startswith("paired by number")

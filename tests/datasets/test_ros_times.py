@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import bag_writer
@@ -108,3 +109,16 @@ def test_without_any_clock_it_says_what_to_do(tmp_path: Path) -> None:
         IdRgbdoError, match=r"got 1 times of recording for 20 images of .* record it again with the cam"
     ):
         open_sequence(path)
+
+
+def test_headers_stay_where_images_are_sent_again_with_other_bytes(tmp_path: Path) -> None:
+    film = _film(40)
+
+    def again(frame: RgbdFrame) -> RgbdFrame:
+        return replace(frame, color=frame.color + 1, gray=frame.gray + 1)
+
+    twice = Film(tuple(one for f in film.frames for one in (f, again(f))), film.groundtruth)
+    sequence = open_sequence(write_bag(twice, tmp_path / "a.bag"))
+    assert sequence.timestamps == pytest.approx([START + f.timestamp for f in film.frames], abs=1e-6)
+    (warning,) = sequence.warnings
+    assert warning.endswith("40 of 80 headers repeat the time of another image; the first of equal times is taken")
