@@ -23,7 +23,7 @@ LISTS = {  # what keys without signs between their letters call a list of coeffi
     re.compile(rf"radial(dist(ortion)?)?({_MANY})?"): RADIAL,
     re.compile(rf"tangential(dist(ortion)?)?({_MANY})?"): TANGENTIAL,
 }
-LISTS_ALONE = ("d", "d1")  # of coefficients where they are lists
+LISTS_ALONE = ("d", "d1")  # of coefficients, but one number so called is none
 INNER = re.compile(rf"data|{_MANY}")  # in a table that is called distortion itself
 SUSPECT = re.compile(r"(?<!un)distort|dist_?coef|radial_?(dist|poly|coef)|tangential")  # no distances
 HARMLESS = re.compile(r"radius|error|rms|std|cov|cent|resid|mean")  # where an Azure Kinect's hold, and how well
@@ -80,7 +80,7 @@ def _is_one(value: Any, levels: Sequence[Mapping[str, Any]]) -> bool:
 def _k_as_k1(camera: Mapping[str, Any]) -> dict[str, Any]:
     """COLMAP's SIMPLE_RADIAL calls its one coefficient k; a list of that name is the matrix."""
     models = " ".join(str(value) for key, value in by_name(camera).items() if key in MODELS).lower()
-    scalar = {key for key in camera if key.lower() == "k" and "radial" in models}
+    scalar = {key for key, value in camera.items() if key.lower() == "k" and _is_number(value) and "radial" in models}
     return {"k1" if key in scalar else key: value for key, value in camera.items()}
 
 
@@ -99,7 +99,7 @@ def _places(data: Mapping[str, Any], where: str, table: bool = False) -> list[tu
     pieces: Coefficients = {}
     for key, value in data.items():
         order = _order(key)
-        if (key in TANGENTIAL and len(numbers(value)) == 12) or (key in LISTS_ALONE and not isinstance(value, list)):
+        if (key in TANGENTIAL and len(numbers(value)) == 12) or (key in LISTS_ALONE and _is_number(value)):
             continue  # the projection matrix of a stereo camera; some number that is called d
         if key in ORDER:
             pieces[key] = _coefficient(key, value, where)
@@ -155,6 +155,10 @@ def _coefficient(key: str, value: Any, where: str) -> float:
     return float(found)
 
 
+def _is_number(value: Any) -> bool:
+    return isinstance(number(value), int | float)
+
+
 def _holds_fractions(value: Any) -> bool:
     """Whether there are numbers such as coefficients: a whole number that stands alone is a count or a flag."""
     if isinstance(value, Mapping):
@@ -175,7 +179,7 @@ def _refuse_other_lenses(levels: Sequence[Mapping[str, Any]], where: str, advice
     for level in levels:
         tables = (value for key, value in level.items() if lists_distortion(key) and isinstance(value, Mapping))
         for named in map(by_name, (level, *tables)):
-            flags = [key for key, value in named.items() if value is True and key.startswith("is_")]  # is_fisheye
+            flags = [key for key, value in named.items() if value is True and key.removeprefix("is_") in OTHER_LENSES]
             stated = " ".join([*flags, *(str(named[name]) for name in MODELS if name in named)]).lower()
             models += " " + (REALSENSE_MODELS.get(number(named.get("model")), stated) if "ppx" in named else stated)
     if any(lens in models for lens in OTHER_LENSES):

@@ -84,6 +84,16 @@ def test_a_distortion_is_read(content: dict[str, Any] | str, tmp_path: Path) -> 
     assert read(tmp_path, content) == (*D, 0, 0, 0)
 
 
+@pytest.mark.parametrize("D_", [D, {"rows": 1, "cols": 5, "data": D}, ", ".join(map(str, D))])
+def test_what_is_called_d_is_read_unless_it_is_one_number(D_: Any, tmp_path: Path) -> None:
+    assert read(tmp_path, {**F, "D": D_}) == (*D, 0, 0, 0)
+
+
+def test_a_matrix_called_k_beside_a_radial_model_is_the_matrix(tmp_path: Path) -> None:
+    K = [[262.5, 0, 159.5], [0, 263.5, 119.25], [0, 0, 1]]
+    assert read(tmp_path, {"model": "radial-tangential", "K": K, "width": 320, "height": 240}) == (0,) * 8
+
+
 def test_the_same_coefficients_may_be_written_twice(tmp_path: Path) -> None:
     assert read(tmp_path, {**F, "k1": round(D[0], 5), "D": [D[0], *[0.0] * 4]})[0] == pytest.approx(D[0], abs=1e-5)
 
@@ -139,6 +149,7 @@ def test_none_is_read_as_none(content: dict[str, Any], tmp_path: Path) -> None:
         ({**F, "tangential": [0.1, 0.2, 0.3]}, "tangential: expected at most 2 distortion coefficients, got 3"),
         ({"camera_model": "OPENCV_FISHEYE", "intrinsics": F, "distortion": D}, "got 'opencv_fisheye'; rectify"),
         ({**F, "is_fisheye": True, **NAMED}, "got 'is_fisheye'; rectify"),
+        ({**F, "fisheye": True, **NAMED}, "got 'fisheye'; rectify"),
         ({**F, "distortion": {"type": "equidistant", "coeffs": D}}, "got 'equidistant'; rectify"),
     ],
 )
