@@ -93,7 +93,7 @@ def test_a_known_motion_has_the_right_direction_and_size(name: str, method: Odom
     assert error[3:].norm() < 0.15 * truth[3:].norm(), (error, truth)
 
 
-def test_reset_forgets_everything(method: Odometry, pair: Pair) -> None:
+def test_reset_forgets_everything(name: str, method: Odometry, pair: Pair) -> None:
     def poses() -> Tensor:
         return torch.stack([method.track(frame).T_world_cam for frame in (pair.first, pair.second)])
 
@@ -102,7 +102,8 @@ def test_reset_forgets_everything(method: Odometry, pair: Pair) -> None:
     start = exp(torch.tensor([1.0, 2.0, 3.0, 0.1, 0.2, 0.3], dtype=torch.float64))
     method.reset(start)
     assert len(method.trajectory()) == 0
-    assert torch.allclose(poses(), start @ before, atol=1e-5)  # Open3D's parallel sums differ from call to call
+    # Open3D's parallel sums differ from call to call: on a loaded machine fresh ones by up to 2.7e-4, one in ten by 1e-5
+    assert torch.allclose(poses(), start @ before, atol=1e-3 if name.startswith("open3d-tensor") else 1e-5)
     assert len(method.trajectory()) == 2
 
 
