@@ -102,7 +102,7 @@ def test_reset_forgets_everything(name: str, method: Odometry, pair: Pair) -> No
     start = exp(torch.tensor([1.0, 2.0, 3.0, 0.1, 0.2, 0.3], dtype=torch.float64))
     method.reset(start)
     assert len(method.trajectory()) == 0
-    # Open3D's parallel sums differ from call to call: on a loaded machine fresh ones by up to 2.7e-4, one in ten by 1e-5
+    # Open3D's parallel sums differ from call to call: on a loaded machine by up to 2.7e-4, one in ten by 1e-5
     assert torch.allclose(poses(), start @ before, atol=1e-3 if name.startswith("open3d-tensor") else 1e-5)
     assert len(method.trajectory()) == 2
 
