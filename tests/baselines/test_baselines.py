@@ -41,6 +41,12 @@ def rendered_pair(config: SynthConfig) -> Pair:
     return Pair(sequence.read(0), sequence.read(1), inverse(poses[0]) @ poses[1])
 
 
+# The sums of Open3D's tensor methods, in parallel, differ from call to call: mostly by 2e-6, one in ten or six by more
+# than 1e-5, one in 4,500 by 2.7e-4, as a search does that ends a step later.
+SPREAD = 1e-3
+CALLS = 9  # whose median is not one of those
+
+
 @pytest.fixture(scope="session")
 def pair() -> Pair:
     return rendered_pair(SMALL)
@@ -102,8 +108,7 @@ def test_reset_forgets_everything(name: str, method: Odometry, pair: Pair) -> No
     start = exp(torch.tensor([1.0, 2.0, 3.0, 0.1, 0.2, 0.3], dtype=torch.float64))
     method.reset(start)
     assert len(method.trajectory()) == 0
-    # Open3D's parallel sums differ from call to call: on a loaded machine by up to 2.7e-4, one in ten by 1e-5
-    assert torch.allclose(poses(), start @ before, atol=1e-3 if name.startswith("open3d-tensor") else 1e-5)
+    assert torch.allclose(poses(), start @ before, atol=SPREAD if name.startswith("open3d-tensor") else 1e-5)
     assert len(method.trajectory()) == 2
 
 
@@ -158,16 +163,18 @@ def test_open3d_tensor_rows_are_the_librarys_own(loss: open3d_tensor.Loss, pair:
         if frame.color is not None
     ]
     K = o3d.core.Tensor(pair.first.camera.matrix().numpy())
-    direct = [
-        o3d.t.pipelines.odometry.rgbd_odometry_multi_scale(
+    align = open3d_tensor.aligner(loss)
+    direct, ours = [], []
+    for _ in range(CALLS):
+        answer = o3d.t.pipelines.odometry.rgbd_odometry_multi_scale(
             *images, K, o3d.core.Tensor(np.eye(4)), 1.0, method=method
-        ).transformation.numpy()
-        for _ in range(5)
-    ]
-    # its parallel sums differ from call to call, by 5e-7 to 3e-6 with the machine's load, and once by 1.5e-5, as a
-    # search that ends a step later does; another method is off by 1.5e-3, depth that is 5 % off by 1.4e-4 and more
-    assert float(np.ptp(direct, axis=0).max()) < 6e-5
-    assert_same_motion(open3d_tensor.aligner(loss), np.mean(direct, axis=0), pair, atol=6e-5)
+        )
+        direct.append(answer.transformation.numpy())
+        ours.append(align(pair.first, pair.second, EYE))
+    # another method is off by 1.5e-3, depth that is 5 % off by 1.4e-4 and more
+    assert all(isinstance(T, Tensor) for T in ours)
+    np.testing.assert_allclose(np.median(np.stack(ours), axis=0), np.median(direct, axis=0), atol=6e-5)
+    assert np.abs(np.median(direct, axis=0) - np.eye(4)).max() > 1e-3
 
 
 @pytest.mark.parametrize("term", ["Color", "Hybrid"])
@@ -208,10 +215,10 @@ def test_opencv_rows_are_the_librarys_own(kind: opencv.Kind, pair: Pair) -> None
     assert_same_motion(opencv.aligner(kind), direct, pair)
 
 
-def assert_same_motion(align: Raw, direct: np.ndarray, pair: Pair, atol: float = 1e-6) -> None:
+def assert_same_motion(align: Raw, direct: np.ndarray, pair: Pair) -> None:
     T_second_first = align(pair.first, pair.second, EYE)
     assert isinstance(T_second_first, Tensor)
-    np.testing.assert_allclose(T_second_first.numpy(), direct, atol=atol)
+    np.testing.assert_allclose(T_second_first.numpy(), direct, atol=1e-6)
     assert (T_second_first - EYE).abs().max() > 1e-3
 
 
